@@ -1,0 +1,120 @@
+"""What a plant is: dynamics as a pure function, with its own bounds and nominal control."""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.tree_util as jtu
+from jaxtyping import Array, ArrayLike, Float
+
+from ._types import Bounds, array_leaf, as_bounds
+
+
+class AbstractPlant(eqx.Module):
+    """Dynamics of a body, as a function of state, control and time.
+
+    A subclass is a frozen dataclass whose physical parameters are array leaves, so that changing
+    one does not recompile and every one has a gradient. Sizes are static.
+
+    Attributes:
+        nx, nu: sizes of the state and of the control.
+        discrete: True when the plant returns the next state rather than the state's derivative.
+        control_bounds: lower and upper bounds, each of shape (nu,), or None.
+        nominal_control: the control from which an optimisation starts, shape (nu,). Muscles start
+            at a small activation: at rest with no activation the gradient is exactly zero.
+    """
+
+    nx: eqx.AbstractVar[int]
+    nu: eqx.AbstractVar[int]
+    discrete: eqx.AbstractVar[bool]
+    control_bounds: eqx.AbstractVar[Bounds | None]
+    nominal_control: eqx.AbstractVar[Float[Array, " nu"]]
+
+    @abc.abstractmethod
+    def __call__(
+        self, x: Float[Array, " nx"], u: Float[Array, " nu"], t: ArrayLike
+    ) -> Float[Array, " nx"]:
+        """Return the derivative of the state (continuous) or the next state (discrete), (nx,)."""
+
+
+class AbstractArm(AbstractPlant):
+    """A plant of joints whose state begins with the joint angles and their velocities.
+
+    State x = (q, dq, ...), with q of shape (num_joints,) in rad and dq in rad/s.
+    """
+
+    num_joints: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def hand_of_joints(self, q: Float[Array, " num_joints"]) -> Float[Array, "2"]:
+        """Return the position e(q) of the hand [m], shape (2,), for joint angles q [rad]."""
+
+    def hand(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
+        """Return the position e(q) of the hand [m], shape (2,)."""
+        return self.hand_of_joints(x[: self.num_joints])
+
+    def hand_velocity(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
+        """Return the velocity of the hand, de/dq dq [m/s], shape (2,)."""
+        n = self.num_joints
+        return jax.jvp(self.hand_of_joints, (x[:n],), (x[n : 2 * n],))[1]
+
+
+def _static_callable(function: Callable) -> Callable:
+    """Keep a callable pytree (a neural network, say) as it is; make any other function static."""
+    if jtu.all_leaves([function]):
+        return jtu.Partial(function)
+    return function
+
+
+class FunctionPlant(AbstractPlant):
+    """A plant made of a plain function.
+
+    `dynamics(x, u, t)`, or `dynamics(x, u, t, params)` when `params` is given, returns the state's
+    derivative, or the next state when `discrete=True`; x has shape (nx,), u has shape (nu,).
+    The function itself is static (another function object recompiles); `params` is any pytree of
+    arrays, which may change without recompiling and through which gradients flow.
+
+    Arguments:
+        dynamics: the function above. A callable pytree (an `equinox` network) keeps its leaves.
+        nx, nu: sizes of state and control.
+        params: parameters handed to `dynamics`, or None.
+        discrete: whether `dynamics` returns the next state.
+        control_bounds: (lower, upper), scalars or of shape (nu,), or None.
+        nominal_control: where an optimisation starts, scalar or (nu,); zero by default.
+    """
+
+    dynamics: Callable = eqx.field(converter=_static_callable)
+    nx: int = eqx.field(static=True)
+    nu: int = eqx.field(static=True)
+    params: Any
+    discrete: bool = eqx.field(static=True)
+    control_bounds: Bounds | None
+    nominal_control: Float[Array, " nu"]
+
+    def __init__(
+        self,
+        dynamics: Callable,
+        *,
+        nx: int,
+        nu: int,
+        params: Any = None,
+        discrete: bool = False,
+        control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
+        nominal_control: ArrayLike = 0.0,
+    ):
+        self.dynamics = dynamics
+        self.nx = int(nx)
+        self.nu = int(nu)
+        self.params = jtu.tree_map(array_leaf, params)
+        self.discrete = bool(discrete)
+        self.control_bounds = as_bounds(control_bounds, (self.nu,))
+        self.nominal_control = jnp.broadcast_to(array_leaf(nominal_control), (self.nu,))
+
+    def __call__(self, x, u, t):
+        """Return `dynamics(x, u, t[, params])`, shape (nx,)."""
+        if self.params is None:
+            return self.dynamics(x, u, t)
+        return self.dynamics(x, u, t, self.params)

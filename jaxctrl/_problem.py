@@ -1,0 +1,253 @@
+"""A control problem: a plant, a cost, noise and bounds on a grid of time."""
+
+import operator
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from ._controller import clip
+from ._cost import AbstractCost, Events
+from ._integrate import AbstractIntegrator, Euler, NextState
+from ._noise import AbstractNoise
+from ._plant import AbstractPlant
+from ._types import Bounds, array_leaf, as_bounds
+
+
+class Problem(eqx.Module):
+    """Minimise a cost over the controls of a plant during a fixed time.
+
+    The grid has T = `num_steps` controls and T + 1 states, `duration` = T dt. With a continuous
+    plant each control is held over its step. Every number is an array leaf: a problem may be
+    batched by vmap, differentiated with `jax.grad`, and changed without recompiling.
+
+    Arguments:
+        plant: what moves.
+        cost: what to minimise; handed the plant at each call.
+        num_steps: T, at least 1; static.
+        dt: time step [s].
+        noise: process noise, or None. `ILQR` plans without it; `simulate` lets it act.
+        control_bounds: (lower, upper), scalars or shapes (nu,) or (T, nu); None takes the plant's
+            own, (-inf, inf) removes them.
+        integrator: `Euler()` by default for continuous plants; a discrete plant is its own.
+
+    Raises ValueError or TypeError, naming the argument, when one does not fit.
+    """
+
+    plant: AbstractPlant
+    cost: AbstractCost
+    num_steps: int = eqx.field(static=True)
+    dt: Float[Array, ""]
+    noise: AbstractNoise | None
+    control_bounds: Bounds | None
+    integrator: AbstractIntegrator
+
+    def __init__(
+        self,
+        plant: AbstractPlant,
+        cost: AbstractCost,
+        *,
+        num_steps: int,
+        dt: ArrayLike = 0.01,
+        noise: AbstractNoise | None = None,
+        control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
+        integrator: AbstractIntegrator | None = None,
+    ):
+        for name, value, kind, hint in (
+            ("plant", plant, AbstractPlant, "wrap a function in jc.FunctionPlant"),
+            ("cost", cost, AbstractCost, "wrap functions in jc.FunctionCost"),
+        ):
+            if not isinstance(value, kind):
+                raise TypeError(f"{name}: {kind.__name__} wanted, got {value!r}; {hint}")
+        try:
+            num_steps = operator.index(num_steps)
+        except TypeError:
+            raise TypeError(f"num_steps: an integer is wanted, got {num_steps!r}") from None
+        if num_steps < 1:
+            raise ValueError(f"num_steps: at least 1 is wanted, got {num_steps}")
+        if plant.nu < 1:
+            raise ValueError(f"plant: at least one control is wanted, got nu = {plant.nu}")
+        self.plant = plant
+        self.cost = cost
+        self.num_steps = num_steps
+        self.dt = array_leaf(dt)
+        self.noise = noise
+        self.control_bounds = as_bounds(
+            control_bounds, _bounds_shape(control_bounds, plant.nu, num_steps)
+        )
+        if integrator is None:
+            integrator = NextState() if plant.discrete else Euler()
+        elif plant.discrete != isinstance(integrator, NextState):
+            raise ValueError(
+                f"integrator: {type(integrator).__name__} does not fit a plant with "
+                f"discrete={plant.discrete}"
+            )
+        self.integrator = integrator
+
+    def __check_init__(self):
+        if self.dt.shape != ():
+            raise ValueError(f"dt: one number is wanted, got shape {self.dt.shape}")
+        if is_concrete(self.dt) and not self.dt > 0:
+            raise ValueError(f"dt: a positive time step is wanted, got {self.dt}")
+        bounds = self.bounds
+        if bounds is not None and is_concrete(*bounds):
+            lower, upper = np.asarray(bounds[0]), np.asarray(bounds[1])
+            if not (lower <= upper).all():
+                step, i = np.argwhere(~(lower <= upper))[0]
+                raise ValueError(
+                    f"control_bounds: lower <= upper is wanted, got {lower[step, i]} > "
+                    f"{upper[step, i]} for control {i}"
+                )
+        duration = self.num_steps * self.dt
+        for times, _ in self.cost.events:
+            if is_concrete(times, self.dt):
+                outside = np.asarray((times < 0) | (times > duration * (1 + 1e-6)))
+                if outside.any():
+                    raise ValueError(
+                        f"cost: an event at {np.asarray(times)[outside][0]} s lies outside the "
+                        f"movement, which lasts from 0 to {float(duration):.6g} s"
+                    )
+
+    @property
+    def duration(self) -> Float[Array, ""]:
+        """The time from the first state to the last, T dt [s], shape ()."""
+        return self.num_steps * self.dt
+
+    @property
+    def ts(self) -> Float[Array, " T+1"]:
+        """The times of the states [s], shape (T+1,)."""
+        return jnp.arange(self.num_steps + 1, dtype=self.dt.dtype) * self.dt
+
+    @property
+    def bounds(self) -> Bounds | None:
+        """The bounds that hold, the problem's or else the plant's, each (T, nu); None without."""
+        bounds = self.plant.control_bounds if self.control_bounds is None else self.control_bounds
+        return as_bounds(bounds, (self.num_steps, self.plant.nu))
+
+    @property
+    def nominal_controls(self) -> Float[Array, "T nu"]:
+        """The plant's nominal control at each step, within the bounds, shape (T, nu)."""
+        shape = (self.num_steps, self.plant.nu)
+        return clip(jnp.broadcast_to(self.plant.nominal_control, shape), self.bounds)
+
+    @property
+    def rate(self) -> Array | float:
+        """The weight of the running cost in one step: dt [s], or 1 for a discrete plant."""
+        return 1.0 if self.plant.discrete else self.dt
+
+    def step(
+        self, x: Float[Array, " nx"], u: Float[Array, " nu"], t: ArrayLike
+    ) -> Float[Array, " nx"]:
+        """Return the state (nx,) one step after x (nx,) at time t [s] under u (nu,)."""
+        return self.integrator(self.plant, x, u, t, self.dt)
+
+    def rollout(self, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) -> Float[Array, "T+1 nx"]:
+        """Return the states (T+1, nx) from x0 (nx,) under the controls us (T, nu), unclipped."""
+
+        def body(x, inputs):
+            u, t = inputs
+            x = self.step(x, u, t)
+            return x, x
+
+        _, xs = jax.lax.scan(body, x0, (us, self.ts[:-1]))
+        return jnp.concatenate([x0[None], xs])
+
+    def stage_costs(
+        self, xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"]
+    ) -> Float[Array, " T+1"]:
+        """Return the cost of each step and of the last state, shape (T+1,).
+
+        An event's cost counts in the step within which it lies.
+        """
+        running = jax.vmap(self.cost.running, in_axes=(None, 0, 0, 0))
+        costs = self.rate * running(self.plant, xs[:-1], us, self.ts[:-1])
+        for group in self.cost.events:
+            k, value, _ = self.event_values(group, xs)
+            costs = costs.at[k].add(value)
+        return jnp.append(costs, self.cost.terminal(self.plant, xs[-1]))
+
+    def total_cost(self, xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"]) -> Float[Array, ""]:
+        """Return the cost of a trajectory xs (T+1, nx), us (T, nu), shape ()."""
+        return jnp.sum(self.stage_costs(xs, us))
+
+    def event_steps(self, times: Float[Array, " m"]) -> tuple[Array, Array]:
+        """Return the step k (m,) in which each time lies, and the fraction of that step (m,).
+
+        The fraction is NaN for times outside the movement.
+        """
+        position = times / self.dt
+        k = jnp.clip(jnp.floor(jax.lax.stop_gradient(position)), 0, self.num_steps - 1)
+        inside = (position >= 0) & (position <= self.num_steps * (1 + 1e-6))
+        return k.astype(int), jnp.where(inside, position - k, jnp.nan)
+
+    def event_values(self, group: Events, xs: Float[Array, "T+1 nx"]) -> tuple[Array, Array, Array]:
+        """Return for each of m events its step k, its cost and the interpolated state (m, nx)."""
+        k, fraction = self.event_steps(group.times)
+        states = xs[k] + fraction[:, None] * (xs[k + 1] - xs[k])
+        value = jax.vmap(group.value, in_axes=(None, 0, 0))
+        return k, value(self.plant, states, jnp.arange(k.size)), states
+
+
+def _bounds_shape(bounds, nu: int, num_steps: int) -> tuple[int, ...]:
+    per_step = bounds is not None and max(jnp.ndim(b) for b in bounds) == 2
+    return (num_steps, nu) if per_step else (nu,)
+
+
+def is_concrete(*arrays) -> bool:
+    """Tell whether no array is a tracer, so that its values may be looked at."""
+    return not any(isinstance(array, jax.core.Tracer) for array in arrays)
+
+
+def check_array(name: str, value: ArrayLike, shape: tuple[int, ...], hint: str = "") -> Array:
+    """Return `value` as a floating array of `shape`, finite where that can be known.
+
+    Raises ValueError (shape, non-finite) or TypeError (complex), naming the argument.
+    """
+    if isinstance(value, Callable) and not hasattr(value, "shape"):
+        raise TypeError(f"{name}: an array of shape {shape} is wanted, got the function {value!r}")
+    try:
+        array = array_leaf(value)
+    except TypeError as error:
+        raise TypeError(f"{name}: {error}") from None
+    if array.shape != shape:
+        raise ValueError(
+            f"{name}: got shape {array.shape}, wanted {shape}" + (hint and f"; {hint}")
+        )
+    if is_concrete(array) and not np.isfinite(np.asarray(array)).all():
+        bad = np.argwhere(~np.isfinite(np.asarray(array)))[0]
+        raise ValueError(f"{name}: not finite at index {tuple(int(i) for i in bad)}")
+    return array
+
+
+def check_x0(problem: Problem, x0: ArrayLike) -> Float[Array, " nx"]:
+    """Return x0 as an array (nx,); raises ValueError or TypeError naming x0."""
+    nx = problem.plant.nx
+    shape = jnp.shape(x0) if not isinstance(x0, Callable) else ()
+    hint = ""
+    if shape == (nx, 1):
+        hint = "drop the second axis"
+    elif len(shape) == 2 and shape[1] == nx:
+        hint = "a batch goes through jax.vmap"
+    return check_array("x0", x0, (nx,), hint)
+
+
+def check_us(problem: Problem, us: ArrayLike | None) -> Float[Array, "T nu"]:
+    """Return the starting controls (T, nu), the nominal ones for None; raises like `check_x0`."""
+    if us is None:
+        return problem.nominal_controls
+    wanted = (problem.num_steps, problem.plant.nu)
+    shape = jnp.shape(us) if not isinstance(us, Callable) else ()
+    hint = ""
+    if shape == wanted[::-1]:
+        hint = "time is the leading axis: transpose it"
+    elif shape == (wanted[0] + 1, wanted[1]):
+        hint = "there is one control fewer than states: drop the last row"
+    elif shape == wanted[:1] and wanted[1] == 1:
+        hint = "add the control axis, us[:, None]"
+    elif len(shape) == 3 and shape[1:] == wanted:
+        hint = "a batch goes through jax.vmap"
+    return check_array("us", us, wanted, hint)

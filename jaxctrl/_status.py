@@ -1,0 +1,124 @@
+"""Why a solve stopped: a status that travels through jit and vmap and says its reason in words."""
+
+import enum
+
+import equinox as eqx
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Int
+
+
+class Reason(enum.IntEnum):
+    """Reasons for which an iteration ends; the first four are successes."""
+
+    CONVERGED_GRADIENT = 0
+    CONVERGED_COST = 1
+    CONVERGED_STEP = 2
+    STATIONARY_START = 3
+    RUNNING = 4
+    MAX_STEPS = 5
+    NEARLY_CONVERGED = 6
+    STALLED = 7
+    LINE_SEARCH_FAILED = 8
+    REGULARISATION_EXHAUSTED = 9
+    NONFINITE_INPUT = 10
+    INFEASIBLE_BOUNDS = 11
+    NONFINITE_DYNAMICS = 12
+    NONFINITE_COST = 13
+    NONFINITE_DERIVATIVE = 14
+
+    @property
+    def message(self) -> str:
+        """Say the reason in one sentence; `{index}` stands for the step of the trajectory."""
+        return _MESSAGES[self]
+
+
+_MESSAGES = {
+    Reason.CONVERGED_GRADIENT: "converged: the projected gradient is at its tolerance and the "
+    "expected reduction of the cost at round-off",
+    Reason.CONVERGED_COST: "converged: the gradient and the relative reduction of the cost are "
+    "below their tolerances",
+    Reason.CONVERGED_STEP: "converged: the gradient and the relative step of the controls are "
+    "below their tolerances",
+    Reason.STATIONARY_START: "stationary at the start: no step was needed. Fine for a warm start; "
+    "if the start was a guess, it may be a saddle or a maximum: perturb `us` to tell",
+    Reason.RUNNING: "still running",
+    Reason.MAX_STEPS: "not converged: the maximum number of steps was reached",
+    Reason.NEARLY_CONVERGED: "not converged, though near: the maximum number of steps was reached "
+    "with a projected gradient within 100 times its tolerance",
+    Reason.STALLED: "not converged: the expected reduction of the cost is at round-off, but the "
+    "projected gradient is above its tolerance; scale the problem, or use float64",
+    Reason.LINE_SEARCH_FAILED: "not converged: no step along the search direction lowers the cost, "
+    "even with the largest regularisation",
+    Reason.REGULARISATION_EXHAUSTED: "failed: the Hessian of the controls is not positive definite "
+    "at step {index}, even with the largest regularisation",
+    Reason.NONFINITE_INPUT: "failed: x0, us or a parameter of the problem is not finite",
+    Reason.INFEASIBLE_BOUNDS: "failed: a lower control bound lies above its upper bound at step "
+    "{index}",
+    Reason.NONFINITE_DYNAMICS: "failed: the dynamics are not finite at step {index} of the "
+    "starting trajectory; start from other controls `us`, or shorten dt",
+    Reason.NONFINITE_COST: "failed: the cost is not finite at step {index} of the starting "
+    "trajectory; start from other controls `us`",
+    Reason.NONFINITE_DERIVATIVE: "failed: a derivative of the dynamics or of the cost is not "
+    "finite at step {index}, where its value is",
+}
+
+
+class Status(eqx.Module):
+    """A reason, and the step of the trajectory that it concerns (-1 where it concerns none).
+
+    Both are integer arrays, batched under vmap like everything else.
+    """
+
+    code: Int[Array, " *batch"]
+    index: Int[Array, " *batch"]
+
+    @classmethod
+    def of(cls, reason: Reason, index: ArrayLike = -1) -> "Status":
+        """Return the status for `reason` at `index`."""
+        return cls(jnp.asarray(int(reason), jnp.int32), jnp.asarray(index, jnp.int32))
+
+    def is_(self, reason: Reason) -> Array:
+        """Tell whether this is `reason`; a boolean array of the batch's shape."""
+        return self.code == int(reason)
+
+    @property
+    def ok(self) -> Array:
+        """Whether the solve converged; a boolean array of the batch's shape."""
+        return self.code <= int(Reason.STATIONARY_START)
+
+    @property
+    def message(self) -> str:
+        """Say in words why the solve stopped; for a batch, one line for each reason met."""
+        if isinstance(self.code, jax.core.Tracer):
+            return "unknown while tracing"
+        codes, indices = np.asarray(self.code), np.asarray(self.index)
+        if codes.ndim == 0:
+            return Reason(int(codes)).message.format(index=int(indices))
+        lines = []
+        for code, count in zip(*np.unique(codes, return_counts=True), strict=True):
+            where = sorted({int(i) for i in indices[codes == code]})
+            shown = ", ".join(map(str, where[:5])) + (", ..." if len(where) > 5 else "")
+            lines.append(
+                f"{count} of {codes.size} " + Reason(int(code)).message.format(index=shown)
+            )
+        return "\n".join(lines)
+
+    @property
+    def name(self) -> str:
+        """Name the reason of a single, concrete status, such as "CONVERGED_COST"."""
+        return Reason(int(self.code)).name
+
+
+def where(condition: Array, yes: Status, no: Status) -> Status:
+    """Choose between two statuses, element by element."""
+    return Status(
+        jnp.where(condition, yes.code, no.code), jnp.where(condition, yes.index, no.index)
+    )
+
+
+def first_nonfinite(values: Array) -> Int[Array, ""]:
+    """Return the first index along time at which `values` (T, ...) are not finite, or -1."""
+    bad = ~jnp.isfinite(values).reshape(values.shape[0], -1).all(axis=1)
+    return jnp.where(bad.any(), jnp.argmax(bad), -1).astype(jnp.int32)

@@ -1,0 +1,67 @@
+"""Types that every floor shares: array leaves, bounds, and the local linear-quadratic model."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+Bounds = tuple[Array, Array]
+
+
+def array_leaf(value: ArrayLike) -> Array:
+    """Return `value` as a floating array, so that it is a leaf with a gradient.
+
+    Python numbers and integers take JAX's default float type of the moment; floating arrays keep
+    theirs. Raises TypeError for complex or non-numeric values.
+    """
+    array = jnp.asarray(value)
+    if jnp.issubdtype(array.dtype, jnp.floating):
+        # With its dtype given the array is not weakly typed, which would compile a second time.
+        return jnp.asarray(array, array.dtype)
+    if jnp.issubdtype(array.dtype, jnp.integer) or array.dtype == jnp.bool_:
+        return array.astype(jnp.result_type(float))
+    raise TypeError(f"a real number or array is wanted, got dtype {array.dtype}")
+
+
+def as_bounds(
+    bounds: tuple[ArrayLike, ArrayLike] | None, shape: tuple[int, ...], name: str = "control_bounds"
+) -> Bounds | None:
+    """Return (lower, upper) broadcast to `shape`, or None.
+
+    Raises ValueError when `bounds` is not a pair or does not broadcast to `shape`.
+    """
+    if bounds is None:
+        return None
+    if not isinstance(bounds, tuple | list) or len(bounds) != 2:
+        raise ValueError(f"{name}: a pair (lower, upper) is wanted, got {bounds!r}")
+    pair = []
+    for which, bound in zip(("lower", "upper"), bounds, strict=True):
+        array = array_leaf(bound)
+        try:
+            pair.append(jnp.broadcast_to(array, shape))
+        except ValueError:
+            raise ValueError(
+                f"{name}: the {which} bound has shape {array.shape}, wanted () or {shape}"
+            ) from None
+    return (pair[0], pair[1])
+
+
+class LocalModel(NamedTuple):
+    """Linear-quadratic expansion of a problem along a trajectory of T steps.
+
+    dx' = fx dx + fu du for each step, and for the cost of each step
+    l + lx' dx + lu' du + (dx' lxx dx + 2 du' lux dx + du' luu du) / 2, and at the end
+    vx' dx + dx' vxx dx / 2. Every array but the last two leads with time. The cost's blocks hold
+    the time step already; for an exact second-order expansion they hold the costates contracted
+    with the second derivatives of the dynamics too.
+    """
+
+    fx: Float[Array, "T nx nx"]
+    fu: Float[Array, "T nx nu"]
+    lx: Float[Array, "T nx"]
+    lu: Float[Array, "T nu"]
+    lxx: Float[Array, "T nx nx"]
+    lux: Float[Array, "T nu nx"]
+    luu: Float[Array, "T nu nu"]
+    vx: Float[Array, " nx"]
+    vxx: Float[Array, "nx nx"]

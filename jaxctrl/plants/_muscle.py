@@ -1,0 +1,155 @@
+"""Muscle curves: activation, active state, and tension as a function of length and velocity.
+
+T = F0 A(a, l) (F_L(l) F_V(l, v) + F_P(l))
+
+The curves are averages over slow and fast fibres of those of Brown, Cheng & Loeb (1999), as
+Li & Todorov (2004) and Li (2006, section 3.1) use them. Length l is in units of the optimal length
+L0, velocity v in L0/s (positive when the muscle lengthens), activation a is between 0 and 1, and
+forces are fractions of the peak isometric force F0. All functions work elementwise.
+
+Full activation at l = 1 gives only half of F0, and next to nothing at l = 0.6: in the model of
+Brown, Cheng & Loeb a = 1 is the stimulation frequency of half the maximal force. The curves hold
+for 0.4 <= l <= 1.9; N_f changes sign at l = 2.03, and beyond it the tension is NaN.
+
+Tension is once, not twice, continuously differentiable: F_L'' diverges at l = 1, F_V'' jumps at
+v = 0, and the rate of activation has a kink at u = a. All derivatives returned are finite there.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+ACTIVATION_TIME = 0.050
+"""Time constant t_a of a rising activation [s] (Li & Todorov 2004)."""
+DEACTIVATION_TIME = 0.066
+"""Time constant t_d of a falling activation [s] (Li & Todorov 2004)."""
+SMALLEST_ACTIVATION = 1e-9
+"""Below it the active state is flat, which keeps derivatives finite; our choice."""
+
+
+def activation_rate(
+    a: Float[Array, "*n"],
+    u: Float[Array, "*n"],
+    activation_time: Array | float = ACTIVATION_TIME,
+    deactivation_time: Array | float = DEACTIVATION_TIME,
+) -> Float[Array, "*n"]:
+    """Return the rate of change of the activation, da/dt [1/s].
+
+    da/dt = (u - a)/t(u, a),  t = t_d + u (t_a - t_d) if u > a else t_d     (Li 2006, eq. 3.14)
+
+    It grows strictly with u on [0, 1]; `control_of_rate` is its inverse. At u = a the derivative
+    returned is that from below.
+
+    Arguments:
+        a, u: activation and control, between 0 and 1, of any one shape.
+        activation_time, deactivation_time: t_a and t_d [s].
+    """
+    rising = deactivation_time + u * (activation_time - deactivation_time)
+    return (u - a) / jnp.where(u > a, rising, deactivation_time)
+
+
+def control_of_rate(
+    a: Float[Array, "*n"],
+    rate: Float[Array, "*n"],
+    activation_time: Array | float = ACTIVATION_TIME,
+    deactivation_time: Array | float = DEACTIVATION_TIME,
+) -> Float[Array, "*n"]:
+    """Return the control u under which the activation changes at a given rate.
+
+    u = (a + r t_d)/(1 + r (t_d - t_a)) for r = da/dt > 0, u = a + r t_d otherwise: the exact
+    inverse of `activation_rate`. u is within [0, 1] exactly when -a/t_d <= r <= (1 - a)/t_a.
+
+    Arguments:
+        a, rate: activation, and its rate of change [1/s], of any one shape.
+        activation_time, deactivation_time: t_a and t_d [s].
+    """
+    growth = jnp.where(rate > 0, rate, 0)
+    return (a + rate * deactivation_time) / (1 + growth * (deactivation_time - activation_time))
+
+
+def active_state(a: Float[Array, "*n"], l: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Return the active state A(a, l), a fraction between 0 and 1, for activation a and length l.
+
+    A = 1 - exp(-(a/(0.56 N_f))^N_f),  N_f = 2.11 + 4.16 (1/l - 1)     (Brown, Cheng & Loeb 1999)
+
+    An activation below `SMALLEST_ACTIVATION` counts as that.
+    """
+    exponent = 2.11 + 4.16 * (1 / l - 1)
+    a = jnp.where(a > SMALLEST_ACTIVATION, a, SMALLEST_ACTIVATION)
+    return -jnp.expm1(-((a / (0.56 * exponent)) ** exponent))
+
+
+def force_length(l: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Return the force-length factor F_L(l), without unit, for a length l > 0.
+
+    F_L = exp(-|(l^1.93 - 1)/1.03|^1.87)        (Brown, Cheng & Loeb 1999; Li & Todorov 2004)
+    """
+    distance = jnp.abs((l**1.93 - 1) / 1.03)
+    at_optimum = distance == 0
+    power = jnp.where(at_optimum, 1, distance) ** 1.87
+    return jnp.exp(-jnp.where(at_optimum, 0, power))
+
+
+def force_velocity(l: Float[Array, "*n"], v: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Return the force-velocity factor F_V(l, v), without unit; F_V(l, 0) = 1.
+
+    F_V = (-5.72 - v)/(-5.72 + (1.38 + 2.09 l) v)                          v <= 0, shortening
+    F_V = (0.62 - (-3.12 + 4.21 l - 2.67 l^2) v)/(0.62 + v)                v > 0,  lengthening
+
+    (Li & Todorov 2004; Li 2006; the means over fibres of Brown, Cheng & Loeb 1999, except that
+    theirs would be 1.335 in place of 1.38.) At v = 0 the derivative returned is that of the
+    shortening branch.
+    """
+    lengthening = v > 0
+    # Each branch sees velocities of its own sign, or its pole would turn the derivative NaN.
+    slow, fast = jnp.where(lengthening, 0, v), jnp.where(lengthening, v, 0)
+    shortened = (-5.72 - slow) / (-5.72 + (1.38 + 2.09 * l) * slow)
+    lengthened = (0.62 - (-3.12 + 4.21 * l - 2.67 * l**2) * fast) / (0.62 + fast)
+    return jnp.where(lengthening, lengthened, shortened)
+
+
+def passive_force(l: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Return the passive element's force F_P(l), a fraction of F0; it pushes, and so is negative.
+
+    F_P = -0.02 exp(13.8 - 18.7 l)        (Li & Todorov 2004; Li 2006)
+
+    Brown, Cheng & Loeb (1999) have -0.02 exp(-18.7 (l - 0.79)), that is 14.8 in place of 13.8; we
+    keep the number that all versions of Li's model share. It scales with the active state, and at
+    short lengths the whole tension may be slightly negative.
+    """
+    return -0.02 * jnp.exp(13.8 - 18.7 * l)
+
+
+def tension(
+    a: Float[Array, "*n"], l: Float[Array, "*n"], v: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """Return the tension as a fraction of the peak isometric force, T/F0.
+
+    T/F0 = A(a, l) (F_L(l) F_V(l, v) + F_P(l))        (Li & Todorov 2004; Li 2006, section 3.1)
+
+    Arguments:
+        a, l, v: activation, length [L0] and velocity [L0/s], of any shapes that broadcast.
+    """
+    dtype = jnp.result_type(a, l, v, float)
+    return _tension(*jnp.broadcast_arrays(*(jnp.asarray(z, dtype) for z in (a, l, v))))
+
+
+def _product(a, l, v):
+    return active_state(a, l) * (force_length(l) * force_velocity(l, v) + passive_force(l))
+
+
+@jax.custom_jvp
+def _tension(a, l, v):
+    return _product(a, l, v)
+
+
+@_tension.defjvp
+def _tension_jvp(primals, tangents):
+    """Collect the three partial derivatives once, elementwise, before any tangent is pushed.
+
+    The result is that of plain differentiation to all orders; a Jacobian, which pushes one tangent
+    for every state and control, takes half the time on the muscle arm.
+    """
+    value, pull = jax.vjp(_product, *primals)
+    by_a, by_l, by_v = pull(jnp.ones_like(value))
+    return value, by_a * tangents[0] + by_l * tangents[1] + by_v * tangents[2]

@@ -1,0 +1,273 @@
+"""Movements as control problems: reach, posture, swing up, avoid, hit, pass through."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike, Float
+
+from .._cost import AbstractCost, QuadraticCost
+from .._noise import SignalDependentNoise
+from .._plant import AbstractArm, AbstractPlant
+from .._problem import Problem, check_array, is_concrete
+from ._costs import HandTarget, Obstacle, PostureTarget, ViaPoints
+
+STEP = 0.01
+"""The time step [s] aimed at when `num_steps` is not given."""
+
+
+def _grid(duration: ArrayLike, num_steps: int | None) -> tuple[int, ArrayLike]:
+    """Return the number of steps and the time step [s]."""
+    if num_steps is None:
+        if not is_concrete(duration):
+            raise ValueError(
+                "num_steps: wanted when `duration` is traced (under jit, grad or vmap), since "
+                "the number of steps is static"
+            )
+        seconds = float(check_array("duration", duration, ()))
+        if not seconds > 0:
+            raise ValueError(f"duration: a positive time [s] is wanted, got {duration}")
+        num_steps = max(1, round(seconds / STEP))
+    elif num_steps < 1:
+        raise ValueError(f"num_steps: at least 1 is wanted, got {num_steps}")
+    return num_steps, duration / num_steps
+
+
+def _check_arm(plant: AbstractPlant) -> AbstractArm:
+    if not isinstance(plant, AbstractArm):
+        raise TypeError(f"plant: one with joints and a hand is wanted, got {type(plant).__name__}")
+    return plant
+
+
+def _problem(plant, cost: AbstractCost, duration, num_steps, effort, motor_noise) -> Problem:
+    num_steps, dt = _grid(duration, num_steps)
+    noise = None if motor_noise is None else SignalDependentNoise(motor_noise)
+    return Problem(plant, cost + QuadraticCost(R=effort), num_steps=num_steps, dt=dt, noise=noise)
+
+
+def reach(
+    plant: AbstractArm,
+    target: Float[ArrayLike, "2"],
+    duration: ArrayLike = 0.5,
+    *,
+    num_steps: int | None = None,
+    position_weight: ArrayLike = 1.0,
+    velocity_weight: ArrayLike = 0.01,
+    effort: ArrayLike = 1e-4,
+    motor_noise: ArrayLike | None = None,
+) -> Problem:
+    """Bring the hand to a target and stop there.
+
+    J = w1 |e(T) - e*|^2 + w2 |de(T)/dt|^2 + int r |u|^2 / 2 dt  (Li 2006, eq. 3.20)
+
+    Arguments:
+        plant: any arm.
+        target: e* [m], shape (2,).
+        duration: T [s].
+        num_steps: steps in it; by default as many as make the time step about 10 ms. Static.
+        position_weight, velocity_weight: w1 [1/m^2] and w2 [s^2/m^2]; 1 and 0.01 are our choice.
+        effort: r, weight of the squared control per second; 1e-4 as in Li (2006), eq. 4.20.
+        motor_noise: intensity [s^(1/2)] of `SignalDependentNoise`; none by default.
+
+    Returns: `Problem`. Raises ValueError or TypeError naming the argument that does not fit.
+    """
+    return hit(
+        plant,
+        target,
+        jnp.zeros(2),
+        duration,
+        num_steps=num_steps,
+        position_weight=position_weight,
+        velocity_weight=velocity_weight,
+        effort=effort,
+        motor_noise=motor_noise,
+    )
+
+
+def hit(
+    plant: AbstractArm,
+    target: Float[ArrayLike, "2"],
+    velocity: Float[ArrayLike, "2"],
+    duration: ArrayLike = 0.5,
+    *,
+    num_steps: int | None = None,
+    position_weight: ArrayLike = 1.0,
+    velocity_weight: ArrayLike = 0.01,
+    effort: ArrayLike = 1e-4,
+    motor_noise: ArrayLike | None = None,
+) -> Problem:
+    """Bring the hand to a target with a given velocity, as in hitting a ball.
+
+    J = w1 |e(T) - e*|^2 + w2 |de(T)/dt - v*|^2 + int r |u|^2 / 2 dt  (Li 2006, eq. 3.22)
+
+    Arguments as in `reach`, and velocity: v* [m/s], shape (2,).
+    """
+    cost = HandTarget(
+        check_array("target", target, (2,)),
+        check_array("velocity", velocity, (2,)),
+        position_weight,
+        velocity_weight,
+    )
+    return _problem(_check_arm(plant), cost, duration, num_steps, effort, motor_noise)
+
+
+def posture(
+    plant: AbstractArm,
+    angles: Float[ArrayLike, " num_joints"],
+    duration: ArrayLike = 0.5,
+    *,
+    stop: bool = True,
+    num_steps: int | None = None,
+    effort: ArrayLike = 1e-4,
+    motor_noise: ArrayLike | None = None,
+) -> Problem:
+    """Bring the joints to given angles.
+
+    J = |theta(T) - theta*|^2 / 2 + |dtheta(T)/dt|^2 / 2 + int r |u|^2 / 2 dt  (Li 2006, eq. 4.20)
+
+    Arguments:
+        plant: any arm.
+        angles: theta* [rad], shape (num_joints,).
+        stop: whether to have the second term. The thesis's text demands it and its formula lacks
+            it: `stop=False` gives the formula as printed.
+        duration, num_steps, effort, motor_noise: as in `reach`.
+
+    Returns: `Problem`. Raises as `reach` does.
+    """
+    angles = check_array("angles", angles, (_check_arm(plant).num_joints,))
+    cost = PostureTarget(angles, velocity_weight=1.0 if stop else 0.0)
+    return _problem(plant, cost, duration, num_steps, effort, motor_noise)
+
+
+def swing_up(
+    plant: AbstractPlant,
+    duration: ArrayLike = 4.0,
+    *,
+    num_steps: int | None = None,
+    effort: ArrayLike = 1e-5,
+    motor_noise: ArrayLike | None = None,
+) -> Problem:
+    """Bring the whole state to zero, as in swinging a pendulum up.
+
+    J = |x(T)|^2 / 2 + int r |u|^2 / 2 dt  (Li 2006, eq. 4.23)
+
+    Arguments:
+        plant: one whose wanted end is x = 0, such as `Pendulum`.
+        duration: T [s]; 4 s is our choice.
+        effort: r [1/(control unit^2 s)]; 1e-5 as in the thesis.
+        num_steps, motor_noise: as in `reach`.
+
+    Returns: `Problem`. Raises as `reach` does.
+    """
+    return _problem(plant, QuadraticCost(Qf=1.0), duration, num_steps, effort, motor_noise)
+
+
+def obstacle(
+    plant: AbstractArm,
+    target: Float[ArrayLike, "2"],
+    centre: Float[ArrayLike, "2"],
+    radius: ArrayLike = 0.02,
+    duration: ArrayLike = 0.5,
+    *,
+    obstacle_weight: ArrayLike = 1e-8,
+    **reach_arguments,
+) -> Problem:
+    """Reach a target around a disc that the hand must not enter.
+
+    J = J_reach + k1 int (|e - e_ob| - r_ob)^-2 dt, infinite inside the disc  (Li 2006, eq. 3.21)
+
+    The disc is kept clear at the grid points; between them a fast hand may cut its rim.
+
+    Arguments:
+        centre, radius: e_ob [m], shape (2,), and r_ob [m].
+        obstacle_weight: k1 [m^2/s].
+        plant, target, duration and all further arguments: as in `reach`.
+
+    Returns: `Problem`. Raises as `reach` does, and ValueError when the disc contains the target.
+    """
+    problem = reach(plant, target, duration, **reach_arguments)
+    centre = check_array("centre", centre, (2,))
+    disc = Obstacle(centre, check_array("radius", radius, ()), obstacle_weight)
+    target = jnp.asarray(target)
+    if is_concrete(target, centre, disc.radius) and not disc.clearance(target) > 0:
+        raise ValueError(
+            f"target: lies inside the obstacle, {float(jnp.linalg.norm(target - centre)):.4g} m "
+            f"from its centre; its radius is {float(disc.radius):.4g} m"
+        )
+    return _with_cost(problem, disc)
+
+
+def via(
+    plant: AbstractArm,
+    target: Float[ArrayLike, "2"],
+    points: Float[ArrayLike, "m 2"],
+    times: Float[ArrayLike, " m"],
+    duration: ArrayLike = 0.5,
+    *,
+    via_weight: ArrayLike = 1.0,
+    **reach_arguments,
+) -> Problem:
+    """Reach a target, passing given points at given times.
+
+    J = J_reach + w sum_i |e(t_i) - e_i|^2  (Li 2006, eq. 3.23, with the sum that it lost)
+
+    Times need not lie on the grid: the state is interpolated linearly, so that they have
+    gradients.
+
+    Arguments:
+        points: e_i [m], shape (m, 2). times: t_i [s], shape (m,), within the duration.
+        via_weight: w [1/m^2], scalar or shape (m,).
+        plant, target, duration and all further arguments: as in `reach`.
+
+    Returns: `Problem`. Raises as `reach` does, and ValueError for times outside the movement.
+    """
+    problem = reach(plant, target, duration, **reach_arguments)
+    m = np.shape(times)[0] if np.ndim(times) == 1 else 1
+    times = check_array("times", times, (m,))
+    points = check_array("points", points, (m, 2), "one row for each of `times`")
+    return _with_cost(problem, ViaPoints(points, times, via_weight))
+
+
+def _with_cost(problem: Problem, cost: AbstractCost) -> Problem:
+    return Problem(
+        problem.plant,
+        problem.cost + cost,
+        num_steps=problem.num_steps,
+        dt=problem.dt,
+        noise=problem.noise,
+    )
+
+
+def centre_out(
+    plant: AbstractArm,
+    x0: Float[ArrayLike, " nx"],
+    *,
+    n: int = 8,
+    radius: ArrayLike = 0.1,
+    duration: ArrayLike = 0.5,
+    **reach_arguments,
+) -> Problem:
+    """Reach from where the hand is to n targets evenly spaced on a circle around it.
+
+    A batch of `reach` problems, each array with a leading axis n: solve it with
+    `jax.vmap(lambda problem: jc.solve(problem, jc.ILQR(), x0))(problems)`.
+
+    Arguments:
+        x0: the common starting state, shape (nx,).
+        n: number of directions, the first along +x, counter-clockwise.
+        radius: distance of the targets [m].
+        plant, duration and all further arguments: as in `reach`.
+
+    Returns: `Problem` with batched arrays. Raises as `reach` does.
+    """
+    if n < 1:
+        raise ValueError(f"n: at least one direction is wanted, got {n}")
+    x0 = check_array("x0", x0, (_check_arm(plant).nx,))
+    num_steps, dt = _grid(duration, reach_arguments.pop("num_steps", None))
+    angles = 2 * jnp.pi * jnp.arange(n) / n
+    offsets = radius * jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=1)
+    targets = plant.hand(x0) + offsets
+
+    def problem(target):
+        return reach(plant, target, num_steps * dt, num_steps=num_steps, **reach_arguments)
+
+    return jax.vmap(problem)(targets)

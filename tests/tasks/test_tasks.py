@@ -1,0 +1,172 @@
+"""The tasks: what they cost, what they refuse, and that their numbers are leaves."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxctrl as jc
+
+TARGET = jnp.array([-0.1, 0.53])
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return jc.plants.TorqueArm()
+
+
+@pytest.fixture(scope="module")
+def x0(arm):
+    return arm.at_rest(shoulder=0.785, elbow=1.571)
+
+
+def test_reach_costs_what_equation_3_20_says(arm):
+    problem = jc.tasks.reach(arm, TARGET, 0.5, velocity_weight=0.3, effort=2e-3)
+    rng = np.random.default_rng(0)
+    xs, us = jnp.asarray(rng.normal(size=(51, 4))), jnp.asarray(rng.normal(size=(50, 2)))
+    jacobian = jax.jacfwd(arm.hand)(xs[-1])[:, :2]
+    wanted = (
+        jnp.sum((arm.hand(xs[-1]) - TARGET) ** 2)
+        + 0.3 * jnp.sum((jacobian @ xs[-1, 2:4]) ** 2)
+        + 0.5 * 0.01 * 2e-3 * jnp.sum(us**2)
+    )
+    np.testing.assert_allclose(problem.total_cost(xs, us), wanted, rtol=1e-12)
+
+
+def test_posture_has_its_stopping_term_unless_told_otherwise(arm):
+    xs, us = jnp.ones((51, 4)), jnp.zeros((50, 2))
+    angles = jnp.array([1.5, 0.5])
+    with_stop = jc.tasks.posture(arm, angles, 0.5).total_cost(xs, us)
+    as_printed = jc.tasks.posture(arm, angles, 0.5, stop=False).total_cost(xs, us)
+    np.testing.assert_allclose(as_printed, 0.5 * (0.25 + 0.25), rtol=1e-12)
+    np.testing.assert_allclose(with_stop - as_printed, 0.5 * 2.0, rtol=1e-12)
+
+
+def test_hit_arrives_with_the_velocity_asked_for(arm, x0):
+    velocity = jnp.array([0.0, 0.5])
+    problem = jc.tasks.hit(arm, TARGET, velocity, 0.5)
+    solution = jc.solve(problem, jc.ILQR(), x0)
+    assert solution.status.ok
+    assert jnp.linalg.norm(arm.hand(solution.xs[-1]) - TARGET) < 1e-3
+    assert jnp.linalg.norm(arm.hand_velocity(solution.xs[-1]) - velocity) < 0.02
+
+
+def test_via_points_are_passed_at_their_times(arm, x0):
+    points, times = jnp.array([[0.02, 0.48], [-0.05, 0.54]]), jnp.array([0.153, 0.327])
+    problem = jc.tasks.via(arm, TARGET, points, times, 0.5)
+    solution = jc.solve(problem, jc.ILQR(), x0)
+    assert solution.status.ok
+    for point, time in zip(points, times, strict=True):
+        q = [jnp.interp(time, problem.ts, solution.xs[:, j]) for j in range(2)]
+        assert jnp.linalg.norm(arm.hand_of_joints(jnp.stack(q)) - point) < 2e-3
+
+
+def test_obstacle_is_cleared_and_its_clearance_grows_with_its_weight(arm, x0):
+    centre, clearances = jnp.array([-0.067, 0.4945]), []
+    for weight in (1e-11, 1e-9, 1e-7):
+        problem = jc.tasks.obstacle(
+            arm, TARGET, centre, 0.02, 0.7, obstacle_weight=weight, num_steps=70
+        )
+        solution = jc.solve(problem, jc.ILQR(), x0)
+        assert solution.status.ok, str(solution)
+        hands = jax.vmap(arm.hand)(solution.xs)
+        clearances.append(jnp.linalg.norm(hands - centre, axis=1).min() - 0.02)
+    assert 0 < clearances[0] < clearances[1] < clearances[2]
+
+
+def test_obstacle_cost_is_infinite_inside_with_finite_derivatives_outside(arm):
+    disc = jc.tasks.Obstacle(jnp.array([0.0, 0.4]), 0.02, 1e-8)
+
+    def rate(hand):
+        x = jnp.concatenate([arm.inverse_kinematics(hand), jnp.zeros(2)])
+        return disc.running(arm, x, jnp.zeros(2), 0.0)
+
+    assert rate(jnp.array([0.01, 0.4])) == jnp.inf
+    np.testing.assert_allclose(rate(jnp.array([0.03, 0.4])), 1e-8 / 0.01**2, rtol=1e-6)
+    assert jnp.isfinite(jax.hessian(rate)(jnp.array([0.021, 0.4]))).all()
+
+
+def test_obstacle_that_holds_the_target_or_the_start_is_refused_or_a_status(arm, x0):
+    with pytest.raises(ValueError, match="target: lies inside the obstacle"):
+        jc.tasks.obstacle(arm, TARGET, TARGET + 0.01, 0.02)
+    problem = jc.tasks.obstacle(arm, TARGET, arm.hand(x0) + 0.001, 0.02)
+    solution = jc.solve(problem, jc.ILQR(), x0)
+    assert solution.status.name == "NONFINITE_COST" and int(solution.status.index) == 0
+
+
+def test_centre_out_is_a_batch_that_equals_single_reaches(arm, x0):
+    problems = jc.tasks.centre_out(arm, x0, n=4, radius=0.1, duration=0.5)
+    batch = jax.vmap(lambda p: jc.solve(p, jc.ILQR(), x0))(problems)
+    assert batch.status.ok.all()
+    for i, offset in enumerate([(0.1, 0), (0, 0.1), (-0.1, 0), (0, -0.1)]):
+        single = jc.solve(jc.tasks.reach(arm, arm.hand(x0) + jnp.array(offset)), jc.ILQR(), x0)
+        np.testing.assert_allclose(batch.us[i], single.us, rtol=1e-6, atol=1e-8)
+
+
+def test_tasks_may_be_built_under_jit_and_differentiated(arm, x0):
+    @jax.jit
+    def cost(target, duration):
+        problem = jc.tasks.reach(arm, target, duration, num_steps=50)
+        return jc.solve(problem, jc.ILQR(), x0).cost
+
+    h = 1e-4
+    slope = jax.grad(cost, argnums=1)(TARGET, 0.5)
+    difference = (cost(TARGET, 0.5 + h) - cost(TARGET, 0.5 - h)) / (2 * h)
+    np.testing.assert_allclose(slope, difference, rtol=1e-4)
+
+
+def test_changing_a_task_does_not_compile_again(arm, x0):
+    def solve(target, point, time, weight, duration):
+        problem = jc.tasks.via(
+            arm, target, point, time, duration, num_steps=30, via_weight=weight, effort=weight
+        )
+        return jc.solve(problem, jc.ILQR(), x0)
+
+    from jaxctrl.solvers import _solve
+
+    solve(TARGET, [[0.0, 0.5]], [0.2], 1e-4, 0.5)
+    size = _solve._solve._cached._cache_size()
+    solve(TARGET + 0.01, jnp.array([[0.01, 0.5]]), jnp.array([0.21]), 2e-4, 0.6)
+    solve(np.array([-0.11, 0.5]), np.array([[0.01, 0.5]]), np.array([0.21]), 1, 1)
+    assert _solve._solve._cached._cache_size() == size
+
+
+@pytest.mark.parametrize(
+    ("build", "error", "match"),
+    [
+        (lambda arm: jc.tasks.reach(arm, [0.1, 0.2, 0.3]), ValueError, r"target: got shape \(3,\)"),
+        (lambda arm: jc.tasks.reach(arm, [0.1, jnp.nan]), ValueError, "target: not finite"),
+        (lambda arm: jc.tasks.reach(arm, TARGET, -1.0), ValueError, "duration: a positive time"),
+        (
+            lambda arm: jc.tasks.reach(arm, TARGET, 0.5, num_steps=0),
+            ValueError,
+            "num_steps: at least",
+        ),
+        (lambda arm: jc.tasks.posture(arm, [1.0]), ValueError, r"angles: got shape \(1,\)"),
+        (
+            lambda arm: jc.tasks.via(arm, TARGET, [0.1, 0.2], [0.1]),
+            ValueError,
+            r"points: got shape \(2,\), wanted \(1, 2\); one row",
+        ),
+        (
+            lambda arm: jc.tasks.via(arm, TARGET, [[0.1, 0.2]], [0.9]),
+            ValueError,
+            "event at 0.9 s lies outside",
+        ),
+        (
+            lambda arm: jc.tasks.reach(jc.FunctionPlant(lambda x, u, t: x, nx=2, nu=2), TARGET),
+            TypeError,
+            "plant: one with joints and a hand",
+        ),
+        (lambda arm: jc.tasks.centre_out(arm, jnp.zeros(3)), ValueError, r"x0: got shape \(3,\)"),
+        (lambda arm: jc.tasks.centre_out(arm, jnp.zeros(4), n=0), ValueError, "n: at least one"),
+    ],
+)
+def test_misuse_is_named(arm, build, error, match):
+    with pytest.raises(error, match=match):
+        build(arm)
+
+
+def test_traced_duration_asks_for_the_number_of_steps(arm, x0):
+    with pytest.raises(ValueError, match="num_steps: wanted when `duration` is traced"):
+        jax.jit(lambda d: jc.tasks.reach(arm, TARGET, d).dt)(0.5)

@@ -1,0 +1,211 @@
+"""The one loop that drives every iterative solver, and where its adjoint is attached."""
+
+import warnings
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+
+from .. import _status
+from .._controller import AffinePolicy
+from .._problem import Problem, check_us, check_x0, is_concrete
+from .._status import Reason, Status
+from ._abstract import AbstractSolver
+from ._adjoint import attach
+from ._solution import Solution, SolveError
+
+
+def solve(
+    problem: Problem,
+    solver: AbstractSolver,
+    x0: ArrayLike,
+    us: ArrayLike | None = None,
+    *,
+    max_steps: int = 500,
+    throw: bool = False,
+) -> Solution:
+    """Minimise a problem's cost over the controls, from the state x0.
+
+    Works eagerly and under jit, vmap and grad. Gradients of `cost`, `xs` and `us` with respect to
+    x0 and every number in the problem follow from the implicit function theorem, exact to second
+    order (see `docs/design.md`); they are NaN where the solve did not converge. The gains of the
+    policy are held constant under differentiation.
+
+    Arguments:
+        problem: what to solve. All its arrays, x0 and us are promoted to one floating dtype, the
+            widest among them.
+        solver: how, such as `jc.ILQR()`.
+        x0: starting state, shape (nx,).
+        us: starting controls, shape (T, nu); the plant's nominal control by default.
+        max_steps: limit of the iterations; static.
+        throw: raise `SolveError` when the solve does not converge, instead of a status.
+
+    Returns: `Solution`; look at `solution.status.ok` before using it.
+
+    Raises: ValueError or TypeError, naming the argument, for shapes that do not fit and for
+    values that are not finite where they can be known; `SolveError` with `throw=True`.
+    """
+    if not isinstance(problem, Problem):
+        raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
+    if not isinstance(solver, AbstractSolver):
+        hint = "; write ILQR() with parentheses" if isinstance(solver, type) else ""
+        raise TypeError(f"solver: a solver is wanted, got {solver!r}{hint}")
+    if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 0:
+        raise ValueError(f"max_steps: an integer >= 0 is wanted, got {max_steps!r}")
+    if jnp.shape(problem.dt) != ():
+        raise ValueError(
+            f"problem: a batch, its dt has shape {jnp.shape(problem.dt)}; it goes through jax.vmap"
+        )
+    start, controls = check_x0(problem, x0), check_us(problem, us)
+    problem, start, controls = cast((problem, start, controls))
+    _check_finite(problem)
+    _warn(problem, solver, start.dtype)
+    solution = _solve(problem, solver, start, controls, max_steps)
+    return _throw(solution) if throw else solution
+
+
+def cast(tree):
+    """Promote every floating array of a pytree to the widest dtype among them."""
+    arrays = [leaf for leaf in jax.tree.leaves(tree) if eqx.is_inexact_array(leaf)]
+    dtype = jnp.result_type(*arrays)
+    if all(array.dtype == dtype for array in arrays):
+        return tree
+    return jax.tree.map(
+        lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, tree
+    )
+
+
+def _check_finite(problem: Problem) -> None:
+    """Raise ValueError naming the first concrete parameter that is not finite; bounds may be."""
+    parts = {"plant": problem.plant, "cost": problem.cost, "noise": problem.noise}
+    for path, leaf in jax.tree_util.tree_leaves_with_path(parts):
+        name = parts_name(path)
+        if not eqx.is_inexact_array(leaf) or not is_concrete(leaf) or "control_bounds" in name:
+            continue
+        if not np.isfinite(np.asarray(leaf)).all():
+            raise ValueError(f"problem: {name} is not finite: {leaf}")
+
+
+def parts_name(path) -> str:
+    """Write a pytree path as `plant.m2`."""
+    return jax.tree_util.keystr(path).replace("['", "").replace("']", "")
+
+
+def _warn(problem: Problem, solver: AbstractSolver, dtype) -> None:
+    if problem.noise is not None:
+        warnings.warn(
+            f"{type(solver).__name__} minimises the nominal cost: it ignores the problem's noise, "
+            "which acts in `simulate` alone",
+            stacklevel=3,
+        )
+    eps = float(jnp.finfo(dtype).eps)
+    for name in ("gradient_tolerance", "cost_tolerance", "step_tolerance"):
+        value = getattr(solver, name, None)
+        if value is not None and value < 10 * eps:
+            warnings.warn(
+                f"{name} = {value:g} is below 10 eps of {dtype}, {10 * eps:.1g}: it may never be "
+                "reached",
+                stacklevel=3,
+            )
+
+
+def _check_functions(problem: Problem, x0: Array, us: Array) -> None:
+    """Trace the plant and the cost once; their own exceptions pass, with a line of help."""
+    plant, cost, t = problem.plant, problem.cost, problem.ts[0]
+    scalar = ((), "()")
+    calls = (
+        ("plant", lambda: plant(x0, us[0], t), (x0.shape, f"({plant.nx},)")),
+        ("cost.running", lambda: cost.running(plant, x0, us[0], t), scalar),
+        ("cost.terminal", lambda: cost.terminal(plant, x0), scalar),
+        *(
+            ("cost's event", lambda group=group: group.value(plant, x0, 0), scalar)
+            for group in cost.events
+        ),
+    )
+    for name, call, (shape, wanted) in calls:
+        try:
+            out = jax.eval_shape(call)
+        except Exception as error:
+            error.add_note(f"raised while {name} was traced, with x {x0.shape}, u {us[0].shape}")
+            raise
+        got = getattr(out, "shape", None)
+        if got != shape:
+            raise ValueError(f"{name}: returned {out if got is None else got}, wanted {wanted}")
+        if out.dtype != x0.dtype:
+            raise TypeError(
+                f"{name}: returned {out.dtype} from {x0.dtype} arguments; write constants as "
+                "Python numbers, or give the arrays it uses to it as `params`"
+            )
+
+
+@eqx.filter_jit
+def _solve(problem: Problem, solver: AbstractSolver, x0, us, max_steps: int) -> Solution:
+    _check_functions(problem, x0, us)
+    frozen, x0_frozen, us = jax.lax.stop_gradient((problem, x0, us))
+    state, history, count = _iterate(frozen, solver, x0_frozen, us, max_steps)
+    status = _final_status(solver, state)
+    failed = status.code >= int(Reason.NONFINITE_INPUT)
+    found = solver.policy(frozen, state)
+    us = attach(found.us, problem, x0, status.ok)
+    xs = jnp.where(failed, _last_finite(found.xs), problem.rollout(x0, us))
+    cost = jnp.where(failed, state.cost, problem.total_cost(xs, us))
+    return Solution(
+        xs=xs,
+        us=us,
+        nominal_cost=cost,
+        expected_cost=cost,
+        policy=AffinePolicy(xs, us, found.k, found.K, problem.bounds),
+        status=status,
+        gradient=solver.record(state).gradient,
+        history=history,
+        num_steps=count,
+    )
+
+
+def _iterate(problem, solver, x0, us, max_steps):
+    """Run the solver until it stops; return its state, the padded history and the count."""
+    state = solver.init(problem, x0, us)
+    padded = jax.tree.map(
+        lambda leaf: jnp.full(max_steps + 1, jnp.nan, leaf.dtype), solver.record(state)
+    )
+
+    def unfinished(carry):
+        state, _, count = carry
+        return solver.status(state).is_(Reason.RUNNING) & (count <= max_steps)
+
+    def body(carry):
+        state, history, count = carry
+        state = solver.step(problem, state)
+        history = jax.tree.map(lambda h, r: h.at[count].set(r), history, solver.record(state))
+        return state, history, count + 1
+
+    state, history, count = jax.lax.while_loop(unfinished, body, (state, padded, jnp.array(0)))
+    # The first pass only measures the start.
+    return state, history, jnp.maximum(count - 1, 0)
+
+
+def _final_status(solver, state) -> Status:
+    status = solver.status(state)
+    limit = _status.where(
+        solver.near(state), Status.of(Reason.NEARLY_CONVERGED), Status.of(Reason.MAX_STEPS)
+    )
+    return _status.where(status.is_(Reason.RUNNING), limit, status)
+
+
+def _last_finite(xs: Array) -> Array:
+    """Hold the last finite state where a trajectory (T+1, nx) is not finite."""
+    finite = jnp.isfinite(xs).all(axis=1)
+    last = jax.lax.cummax(jnp.where(finite, jnp.arange(len(xs)), 0))
+    return xs[last]
+
+
+def _throw(solution: Solution) -> Solution:
+    if is_concrete(solution.status.code):
+        if not np.asarray(solution.status.ok).all():
+            raise SolveError(solution.status.message)
+        return solution
+    return eqx.error_if(
+        solution, ~solution.status.ok, "solve(..., throw=True): a solve did not converge"
+    )

@@ -1,0 +1,116 @@
+"""What the plots accept: arrays checked for shape, with NaN wherever a sample is not finite."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+
+def numbers(name: str, value: Any, wanted: str) -> np.ndarray:
+    """Return `value` as a new float array in which samples that are not finite are NaN.
+
+    Raises ValueError for ragged, complex or non-numeric input.
+    """
+    try:
+        array = np.asarray(value)
+        if np.iscomplexobj(array):
+            raise TypeError
+        array = array.astype(float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: real numbers of shape {wanted} are wanted") from None
+    array[~np.isfinite(array)] = np.nan
+    return array
+
+
+def wrong_shape(name: str, got: tuple[int, ...], wanted: str) -> ValueError:
+    """Return the error for an array of another shape than wanted."""
+    return ValueError(f"{name}: shape {got} given, wanted {wanted}")
+
+
+def shaped(name: str, value: Any, wanted: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    """Return `value` as a float array of `shape`, in which None stands for any size from 1."""
+    array = numbers(name, value, wanted)
+    sizes_fit = array.ndim == len(shape) and all(
+        size == want if want is not None else size > 0
+        for size, want in zip(array.shape, shape, strict=True)
+    )
+    if not sizes_fit:
+        raise wrong_shape(name, array.shape, wanted)
+    if np.isnan(array).all():
+        raise ValueError(f"{name}: no finite sample in shape {array.shape}")
+    return array
+
+
+def times(name: str, value: Any, length: int | None = None, wanted: str = "(N,)") -> np.ndarray:
+    """Return instants [s] as a float array (length,); every one must be finite."""
+    array = shaped(name, value, wanted, (length,))
+    if np.isnan(array).any():
+        raise ValueError(f"{name}: every time must be finite")
+    return array
+
+
+def points(name: str, value: Any) -> np.ndarray:
+    """Return one point (2,) or several (n, 2) as (n, 2); none for None or an empty list."""
+    if value is None or np.size(value) == 0:
+        return np.zeros((0, 2))
+    array = numbers(name, value, "(2,) or (n, 2)")
+    if array.ndim not in (1, 2) or array.shape[-1] != 2:
+        raise wrong_shape(name, array.shape, "(2,) or (n, 2)")
+    if np.isnan(array).all():
+        raise ValueError(f"{name}: no finite point in shape {array.shape}")
+    return array.reshape(-1, 2)
+
+
+def groups(name: str, value: Any, wanted: str, point: tuple[int, ...] = ()) -> list[np.ndarray]:
+    """Return curves as a list of groups, each an array (trials, N, *point).
+
+    An array (N, *point) is one group of one trial, an array (trials, N, *point) is one group, a
+    list or tuple of such arrays is several groups. Raises ValueError for anything else, and when
+    no group has a finite sample.
+    """
+    entries, labels = [value], [name]
+    if isinstance(value, list | tuple) and value:
+        labels = [f"{name}[{i}]" for i in range(len(value))]
+        if numbers(labels[0], value[0], wanted).ndim > len(point):
+            entries = list(value)
+        else:
+            labels = [name]
+    found = [
+        _group(label, entry, wanted, point) for label, entry in zip(labels, entries, strict=True)
+    ]
+    if all(np.isnan(group).all() for group in found):
+        raise ValueError(f"{name}: no finite sample")
+    return found
+
+
+def _group(name: str, value: Any, wanted: str, point: tuple[int, ...]) -> np.ndarray:
+    """Return one group (trials, N, *point)."""
+    array = numbers(name, value, wanted)
+    curve = 1 + len(point)
+    tail_fits = array.shape[array.ndim - len(point) :] == point
+    if array.ndim not in (curve, curve + 1) or not tail_fits or not array.size:
+        raise wrong_shape(name, array.shape, wanted)
+    return array.reshape(-1, *array.shape[array.ndim - curve :])
+
+
+def names_for(
+    argument: str, names: str | Sequence[str] | None, count: int, thing: str
+) -> list[str] | None:
+    """Return one name for each of `count` things, or None when none were given."""
+    if names is None:
+        return None
+    names = [names] if isinstance(names, str) else [str(name) for name in names]
+    if len(names) != count:
+        hint = "; pass a list of arrays to label each" if count == 1 else ""
+        raise ValueError(
+            f"{argument}: {len(names)} given, wanted {count}, one for each {thing}{hint}"
+        )
+    return names
+
+
+def mean_of(group: np.ndarray) -> np.ndarray:
+    """Return the mean over the trials of a group, sample by sample, over the finite ones."""
+    finite = np.isfinite(group)
+    count = finite.sum(axis=0)
+    total = np.where(finite, group, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

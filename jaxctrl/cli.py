@@ -1,0 +1,243 @@
+"""The command line: list the experiments, run them, show what came out.
+
+JAX and its friends are imported by the commands that need them, so that `--help`, `--version` and
+`list` answer at once.
+
+Exit codes: 0 all is well; 1 an experiment failed or a result cannot be trusted; 2 wrong usage, or a
+results folder that cannot be used; 130 interrupted.
+"""
+
+import contextlib
+import dataclasses
+import io
+import os
+import signal
+import sys
+import typing
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from . import experiments
+from ._version import __version__
+
+if TYPE_CHECKING:
+    from .experiments._result import Claim
+    from .experiments._runner import Outcome
+
+_TYPES: dict[type, click.ParamType] = {
+    int: click.INT,
+    float: click.FLOAT,
+    bool: click.BOOL,
+    str: click.STRING,
+}
+
+
+class _UnusableFolder(click.ClickException):
+    """Refuse a results folder before anything is computed."""
+
+    exit_code = 2
+
+
+_out = click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default="results",
+    show_default=True,
+    help="Folder of the results.",
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its code."""
+    streams = [s for s in (sys.stdout, sys.stderr) if isinstance(s, io.TextIOWrapper)]
+    for stream in streams:  # a terminal that knows no Greek must not end a run
+        stream.reconfigure(errors="replace")
+    try:
+        code = jaxctrl.main(arguments, prog_name="jaxctrl", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except click.Abort:
+        say("interrupted", err=True)
+        code = 130
+    if code == 130:  # a thread that is still inside XLA must not delay the end
+        with contextlib.suppress(OSError):
+            for stream in streams:
+                stream.flush()
+        os._exit(code)
+    sys.exit(code or 0)
+
+
+def say(text: str, err: bool = False, nl: bool = True) -> None:
+    """Print a text, with colours only on a terminal and without NO_COLOR.
+
+    When the reader has gone (`| head`), the rest is said to nobody and the work goes on.
+    """
+    try:
+        click.echo(text, err=err, nl=nl, color=False if os.environ.get("NO_COLOR") else None)
+    except BrokenPipeError:
+        nobody = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nobody, (sys.stderr if err else sys.stdout).fileno())
+        os.close(nobody)
+
+
+@click.group()
+@click.version_option(__version__)
+def jaxctrl() -> None:
+    """Optimal control of biological and robotic movement: run the published experiments."""
+
+
+@jaxctrl.command("list")
+def list_experiments() -> None:
+    """List the experiments with one line each."""
+    say(_table([(name, line) for name, (_, line) in experiments.EXPERIMENTS.items()]))
+
+
+@jaxctrl.command()
+@click.argument("names", metavar="NAME... | all", nargs=-1, required=True)
+@click.option("--quick", is_flag=True, help="Small settings that show the same in seconds.")
+@_out
+@click.option("--set", "pairs", metavar="KEY=VALUE", multiple=True, help="Change one setting.")
+@click.option("--force", is_flag=True, help="Compute again and replace what is there.")
+def run(names: tuple[str, ...], quick: bool, out: Path, pairs: tuple[str, ...], force: bool) -> int:
+    """Run experiments and write their data, figures and claims.
+
+    Each gets a folder of its own in the results folder. Those that are already finished with the
+    same settings are skipped, so that an interrupted run is resumed by repeating it.
+    """
+    for name in names:
+        _check_word("experiment", name, [*experiments.names(), "all"])
+    chosen = experiments.names() if "all" in names else list(dict.fromkeys(names))
+    with _terminable():
+        import jax
+        import matplotlib
+
+        jax.config.update("jax_enable_x64", True)
+        matplotlib.use("Agg")
+        from .experiments import _runner, _store
+
+        try:
+            outcomes = _runner.run_many(
+                chosen,
+                lambda name, module: _configure(name, module, quick, pairs),
+                out,
+                force=force,
+                report=lambda text, nl=True: say(text, err=True, nl=nl),
+            )
+        except _store.StoreError as error:
+            raise _UnusableFolder(str(error)) from error
+        say(_scoreboard(outcomes))
+        return _runner.exit_code(outcomes)
+
+
+@jaxctrl.command()
+@click.argument("name")
+@_out
+def show(name: str, out: Path) -> None:
+    """Show settings, claims and variables of a finished experiment, and verify its files."""
+    _check_word("experiment", name, experiments.names())
+    from .experiments import _store
+
+    try:
+        found = _store.read(out, name)
+    except _store.StoreError as error:
+        raise click.ClickException(str(error)) from error
+    made = ", ".join(f"{package} {version}" for package, version in found.manifest.versions.items())
+    say(f"{name}: {experiments.EXPERIMENTS[name][1]}")
+    say(f"made by {made} in {found.manifest.wall_seconds} s; all files of {found.folder} are whole")
+    if found.manifest.failure:
+        say(f"FAILED: {found.manifest.failure}")
+    say("\nSettings")
+    say(_table([(key, str(value)) for key, value in found.config.items()]))
+    say("\nClaims")
+    header = ("claim", "expected", "measured", "holds", "source", "note")
+    rows = [(*_cells(claim), claim.source, claim.note) for claim in found.claims]
+    say(_table([header, *rows]))
+    say("\nVariables")
+    rows = [
+        (
+            str(key),
+            " × ".join(f"{dim} {size}" for dim, size in variable.sizes.items()),
+            variable.attrs.get("units", ""),
+            variable.attrs["long_name"],
+        )
+        for key, variable in found.data().variables.items()
+    ]
+    say(_table([("name", "shape", "units", "meaning"), *rows]))
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM interrupt like Ctrl-C inside a `with` block."""
+
+    def interrupt(*_: Any):
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+def _check_word(kind: str, word: str, words: Iterable[str]) -> None:
+    """Raise a usage error with the nearest word when a word is not known."""
+    if word not in words:
+        raise click.UsageError(experiments.unknown(kind, word, words))
+
+
+def _configure(name: str, module: ModuleType, quick: bool, pairs: Sequence[str]) -> Any:
+    """Build the Config of an experiment from the options `--quick` and `--set`."""
+    config = module.Config.quick() if quick else module.Config()
+    types = typing.get_type_hints(module.Config)
+    changes = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals:
+            raise click.UsageError(f"--set {pair}: write it as key=value")
+        _check_word(f"setting of {name}", key, [field.name for field in dataclasses.fields(config)])
+        try:
+            changes[key] = _TYPES[types[key]].convert(value, None, None)
+        except click.BadParameter as error:
+            wanted = types[key].__name__
+            raise click.UsageError(f"--set {pair}: {key} wants {wanted}, got {value!r}") from error
+    try:
+        return dataclasses.replace(config, **changes)
+    except ValueError as error:
+        raise click.UsageError(f"--set: {error}") from error
+
+
+def _scoreboard(outcomes: "Iterable[Outcome]") -> str:
+    """Return one line for each claim of each experiment, and one for each that has none to show."""
+    rows: list[tuple[str, ...]] = [("experiment", "claim", "expected", "measured", "holds")]
+    for outcome in outcomes:
+        rows += [(outcome.name, *_cells(claim)) for claim in outcome.claims]
+        if outcome.state not in ("finished", "skipped"):
+            rows.append((outcome.name, f"{outcome.state}: {outcome.detail}".rstrip(": ")))
+    return _table(rows)
+
+
+def _cells(claim: "Claim") -> tuple[str, str, str, str]:
+    """Return the columns that every table of claims has."""
+    holds = click.style("yes", fg="green") if claim.holds else click.style("NO", fg="red")
+    return claim.statement, claim.expected, claim.measured, holds
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    """Align rows of cells in columns, each cell on one line."""
+    rows = [[" ".join(cell.split()) for cell in row] for row in rows]
+    full = [row for row in rows if len(row) == max(map(len, rows))]
+    widths = [
+        max(len(click.unstyle(cell)) for cell in column) for column in zip(*full, strict=True)
+    ]
+    return "\n".join(
+        "  ".join(
+            cell + " " * (width - len(click.unstyle(cell)))
+            for cell, width in zip(row, widths, strict=False)
+        ).rstrip()
+        for row in rows
+    )

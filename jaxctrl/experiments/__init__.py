@@ -1,0 +1,50 @@
+"""Published figures and tables as programs: a registry of names, each imported at first use.
+
+A module of the registry exports `Config` (a frozen dataclass of Python scalars and strings, with a
+class method `quick()`), `run(config) -> Result`, `figure(result) -> Figure` and
+`claims(result) -> list[Claim]`. Nothing here imports JAX, so that `jaxctrl list` answers at once.
+"""
+
+import difflib
+import importlib
+from collections.abc import Iterable
+from types import ModuleType
+
+EXPERIMENTS: dict[str, tuple[str, str]] = {
+    "fig-4.1": (
+        "jaxctrl.experiments.fig_4_1",
+        "Optimal trajectories of the torque arm, the muscle arm and the pendulum",
+    ),
+    "fig-4.2": (
+        "jaxctrl.experiments.fig_4_2",
+        "Joint paths of the muscle arm over the iterations of ILQR",
+    ),
+    "centre-out": (
+        "jaxctrl.experiments.centre_out",
+        "10 cm reaches in 8 directions with both arms",
+    ),
+}
+"""Name of each experiment, its module and one line about it."""
+
+
+def names() -> list[str]:
+    """List the experiments in the order of the registry."""
+    return list(EXPERIMENTS)
+
+
+def load(name: str) -> ModuleType:
+    """Import the module of an experiment.
+
+    Raises: ValueError with the nearest name when there is no such experiment.
+    """
+    if name not in EXPERIMENTS:
+        raise ValueError(unknown("experiment", name, names()))
+    return importlib.import_module(EXPERIMENTS[name][0])
+
+
+def unknown(kind: str, word: str, words: Iterable[str]) -> str:
+    """Say that a word is none of the known words, and which of them is nearest to it."""
+    words = list(words)
+    near = difflib.get_close_matches(word, words, n=1)
+    advice = f"did you mean {near[0]!r}?" if near else f"choose from {', '.join(words)}"
+    return f"no {kind} {word!r}: {advice}"

@@ -1,0 +1,209 @@
+"""Run experiments one after the other: go on after a failure, resume, and stop when told to."""
+
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, wait
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal
+
+from .._version import __version__
+from . import _store, load
+from ._result import Claim, Result
+
+State = Literal["finished", "skipped", "failed", "refused", "interrupted", "not run"]
+"""What can become of an experiment. A `skipped` one had been finished before."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Hold what became of one experiment of a run.
+
+    Arguments:
+        name: of the experiment.
+        state: see `State`.
+        detail: how long it took, or the reason of a failure or refusal.
+        claims: of a finished or skipped experiment, and of one that reports its own failure.
+        trace: the whole traceback of an exception.
+    """
+
+    name: str
+    state: State
+    detail: str = ""
+    claims: tuple[Claim, ...] = ()
+    trace: str = ""
+
+
+def exit_code(outcomes: Sequence[Outcome]) -> int:
+    """Return 130 after an interruption, 1 when an experiment failed or was refused, 0 otherwise."""
+    states = {outcome.state for outcome in outcomes}
+    if "interrupted" in states:
+        return 130
+    return int(not states <= {"finished", "skipped"})
+
+
+def run_many(
+    names: Sequence[str],
+    configure: Callable[[str, ModuleType], Any],
+    out: Path,
+    *,
+    force: bool = False,
+    report: Callable[..., None],
+) -> list[Outcome]:
+    """Run experiments one after the other and return what became of each.
+
+    One that fails does not stop the others, one that is already finished is skipped, and after a
+    KeyboardInterrupt the rest is left out.
+
+    Arguments:
+        names: of the experiments.
+        configure: gives the `Config` from a name and its module; what it raises passes through,
+            before anything is computed.
+        out: results folder, created when missing.
+        force: compute again what is already there.
+        report: called with each line of progress, and with `nl=False` for an incomplete one.
+
+    Raises: StoreError, before anything is computed, when the folder cannot be used.
+    """
+    jobs: dict[str, Any] = {}
+    for name in names:
+        try:
+            module = load(name)
+        except Exception as error:
+            jobs[name] = _failed(name, error)
+        else:
+            jobs[name] = configure(name, module)
+    outcomes: list[Outcome] = []
+    with _store.locked(out):
+        try:
+            for name, job in jobs.items():
+                tick, end = _progress(f"[{len(outcomes) + 1}/{len(jobs)}] {name}", report)
+                failed = isinstance(job, Outcome)
+                outcome = job if failed else run_one(name, job, out, force=force, tick=tick)
+                outcomes.append(outcome)
+                end(outcome)
+        except KeyboardInterrupt:
+            left = list(jobs)[len(outcomes) :]
+            outcomes += [Outcome(name, "interrupted") for name in left[:1]]
+            outcomes += [Outcome(name, "not run") for name in left[1:]]
+            report("\ninterrupted: the same command resumes")
+    return outcomes
+
+
+def run_one(
+    name: str,
+    config: Any,
+    out: Path,
+    *,
+    force: bool = False,
+    tick: Callable[[float], None] = lambda seconds: None,
+) -> Outcome:
+    """Run one experiment and write its folder, unless it is already finished.
+
+    The caller holds `_store.locked(out)`. An exception of the experiment becomes the state
+    `failed`; a folder with something else in it becomes the state `refused`.
+
+    Arguments:
+        config: an instance of the experiment's `Config`.
+        force: compute again, and replace what is there.
+        tick: called with the seconds that have passed, from 0 on, while the experiment runs.
+    """
+    try:
+        folder = _store.locate(out, name)
+        if force:
+            _store.check_ours(folder)
+        elif folder.exists():
+            return _compare(_store.read(out, name), _store.settings(config))
+    except _store.StoreError as error:
+        return Outcome(name, "refused", f"{error}{'' if force else '; --force recomputes it'}")
+    try:
+        _store.settings(config)
+        start = time.monotonic()
+        result, figure, claims = _in_background(lambda: _compute(name, config), tick)
+        seconds = time.monotonic() - start
+        _store.write(out, name, result, figure, claims, seconds)
+    except Exception as error:
+        return _failed(name, error)
+    if result.failure:
+        return Outcome(name, "failed", result.failure, tuple(claims))
+    return Outcome(name, "finished", f"in {seconds:.1f} s", tuple(claims))
+
+
+def _compute(name: str, config: Any) -> tuple[Result, Any, list[Claim]]:
+    """Run an experiment, draw its figure and judge its claims."""
+    module = load(name)
+    result = module.run(config)
+    return result, module.figure(result), module.claims(result)
+
+
+def _in_background(work: Callable[[], Any], tick: Callable[[float], None]) -> Any:
+    """Call a function in a thread, so that a signal is answered at once while XLA computes.
+
+    After an interruption the thread is left to itself; it writes no files.
+    """
+    future: Future[Any] = Future()
+
+    def run():
+        try:
+            future.set_result(work())
+        except BaseException as error:
+            future.set_exception(error)
+
+    start = time.monotonic()
+    tick(0.0)
+    threading.Thread(target=run, daemon=True).start()
+    while not wait([future], timeout=0.5).done:
+        tick(time.monotonic() - start)
+    return future.result()
+
+
+def _compare(found: _store.Finished, config: dict[str, Any]) -> Outcome:
+    """Skip an experiment that is finished with the same settings and version; refuse another."""
+    name, version = found.manifest.experiment, found.manifest.versions["jaxctrl"]
+    differences = [
+        f"{key} is {found.config.get(key)!r} there and {config.get(key)!r} here"
+        for key in config | found.config
+        if config.get(key) != found.config.get(key)
+    ]
+    if version != __version__:
+        differences.append(f"it was made by jaxctrl {version}, this is {__version__}")
+    if differences:
+        raise _store.StoreError(f"{found.folder}: finished differently: {'; '.join(differences)}")
+    if found.manifest.failure:
+        return Outcome(name, "failed", f"before: {found.manifest.failure}", found.claims)
+    return Outcome(name, "skipped", "because it is already finished", found.claims)
+
+
+def _failed(name: str, error: Exception) -> Outcome:
+    """Turn an exception into an outcome with its first line and its traceback."""
+    first = str(error).strip().partition("\n")[0]
+    text = f"{type(error).__name__}: {first}" if first else type(error).__name__
+    return Outcome(name, "failed", text, trace="".join(traceback.format_exception(error)))
+
+
+def _progress(
+    label: str, report: Callable[..., None]
+) -> tuple[Callable[[float], None], Callable[[Outcome], None]]:
+    """Return two functions that show that time passes, and how an experiment ended.
+
+    On a terminal they write one line over and over, elsewhere two plain lines.
+    """
+    live = sys.stderr.isatty()
+    start = "\r" if live else ""
+
+    def tick(seconds: float):
+        if live:
+            report(f"{start}{label} {seconds:.0f} s", nl=False)
+        elif not seconds:
+            report(f"{label} started")
+
+    def end(outcome: Outcome):
+        report(f"{start}{label} {outcome.state} {outcome.detail}")
+        if outcome.trace:
+            report(outcome.trace.rstrip())
+
+    return tick, end

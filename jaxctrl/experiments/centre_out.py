@@ -1,0 +1,218 @@
+"""Reaches of 10 cm in eight directions, by torques and by six muscles, with noisy repetitions.
+
+The cost is Li's (2006), eq. 3.20, from the posture (pi/4, pi/2). ILQR plans without noise; its
+feedback law then runs on the arm with motor noise proportional to each control. The ranges with
+which the movements are compared come from an independent implementation of the same arms and
+costs; they are not the thesis's.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray
+from matplotlib.figure import Figure
+
+from .. import plot
+from .._noise import SignalDependentNoise
+from .._plant import AbstractArm
+from .._simulate import simulate
+from ..plants import MuscleArm, TorqueArm
+from ..solvers import ILQR
+from ..solvers._solve import solve
+from ..tasks import centre_out
+from ._result import Claim, Result
+
+START = (np.pi / 4, np.pi / 2)
+ARMS = ("torque", "muscle")
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings: radius [m], duration [s], directions, weights, noise [s^(1/2)], trials and seed."""
+
+    radius: float = 0.1
+    duration: float = 0.5
+    num_steps: int = 50
+    directions: int = 8
+    velocity_weight: float = 1e-3
+    effort: float = 1e-4
+    motor_noise: float = 0.02
+    trials: int = 50
+    seed: int = 0
+
+    @classmethod
+    def quick(cls) -> "Config":
+        """Return settings with fewer trials."""
+        return cls(trials=5)
+
+
+def _reach(arm: AbstractArm, x0, config: Config):
+    """Solve for every direction in one batch, and run the noisy trials of each."""
+    problems = centre_out(
+        arm,
+        x0,
+        n=config.directions,
+        radius=config.radius,
+        duration=config.duration,
+        num_steps=config.num_steps,
+        velocity_weight=config.velocity_weight,
+        effort=config.effort,
+    )
+    solutions = jax.vmap(lambda problem: solve(problem, ILQR(), x0))(problems)
+    keys = jax.random.split(jax.random.key(config.seed), (config.directions, config.trials))
+    noise = SignalDependentNoise(config.motor_noise)
+
+    def trial(problem, policy, key):
+        return simulate(problem, policy, x0, key=key, noise=noise).xs
+
+    over_keys = jax.vmap(trial, in_axes=(None, None, 0))
+    noisy = jax.vmap(over_keys)(problems, solutions.policy, keys)
+    on_grid = jax.vmap(jax.vmap(arm.hand))
+    paths, speeds = on_grid(solutions.xs), jax.vmap(jax.vmap(arm.hand_velocity))(solutions.xs)
+    return solutions, paths, jnp.linalg.norm(speeds, axis=-1), jax.vmap(on_grid)(noisy)
+
+
+def run(config: Config) -> Result:
+    """Reach with both arms; arrays lead with the arm and the direction."""
+    arms = (TorqueArm(), MuscleArm())
+    starts = [arm.at_rest(*START) for arm in arms]
+    reaches = [_reach(arm, x0, config) for arm, x0 in zip(arms, starts, strict=True)]
+    solutions, paths, speeds, noisy = zip(*reaches, strict=True)
+    failed = [s.status.message for s in solutions if not bool(s.status.ok.all())]
+    angles = 2 * np.pi * np.arange(config.directions) / config.directions
+    centre = np.asarray(arms[0].hand(starts[0]))
+    targets = centre + config.radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    many = ("arm", "direction")
+    data = xarray.Dataset(
+        {
+            "hand": ((*many, "time", "axis"), np.stack(paths), _is("hand position", "m")),
+            "speed": ((*many, "time"), np.stack(speeds), _is("hand speed", "m/s")),
+            "noisy": (
+                (*many, "trial", "time", "axis"),
+                np.stack(noisy),
+                _is("hand position in noisy trials", "m"),
+            ),
+            "target": (("direction", "axis"), targets, _is("target", "m")),
+            "iterations": (
+                many,
+                np.stack([s.num_steps for s in solutions]),
+                _is("iterations", "1"),
+            ),
+            "peak_control": (
+                many,
+                np.stack([np.abs(s.us).max(axis=(1, 2)) for s in solutions]),
+                _is("largest control (N m for torques, excitation for muscles)", "1"),
+            ),
+        },
+        coords={
+            "arm": ("arm", list(ARMS), {"long_name": "arm"}),
+            "direction": ("direction", np.degrees(angles), _is("direction", "degree")),
+            "time": (
+                "time",
+                np.linspace(0, config.duration, config.num_steps + 1),
+                _is("time", "s"),
+            ),
+            "axis": ("axis", ["x", "y"], {"long_name": "axis"}),
+        },
+    )
+    return Result(data, config, "; ".join(failed))
+
+
+def _is(name: str, units: str) -> dict[str, str]:
+    return {"long_name": name, "units": units}
+
+
+def _measures(data: xarray.Dataset, arm: str) -> dict[str, np.ndarray]:
+    """Return for each direction the end error [m], peak speed, its time and the deviation [m]."""
+    hand, speed = data.hand.sel(arm=arm).values, data.speed.sel(arm=arm).values
+    target = data.target.values
+    along = target - hand[:, 0]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    offset = hand - hand[:, :1]
+    across = offset[..., 0] * along[:, None, 1] - offset[..., 1] * along[:, None, 0]
+    return {
+        "error": np.linalg.norm(hand[:, -1] - target, axis=1),
+        "peak": speed.max(axis=1),
+        "time": data.time.values[speed.argmax(axis=1)],
+        "deviation": np.abs(across).max(axis=1),
+        "end_speed": speed[:, -1],
+    }
+
+
+def figure(result: Result) -> Figure:
+    """Draw hand paths with their noisy trials and speed profiles, one row for each arm."""
+    data = result.data
+    labels = [f"{angle:.0f}°" for angle in data.direction.values]
+    fig, axes = plot.panels(2, 2, size=(8.0, 6.4))
+    for row, arm in zip(axes, ARMS, strict=True):
+        plot.hand_paths(
+            list(data.noisy.sel(arm=arm).values), data.target.values, labels=labels, ax=row[0]
+        )
+        plot.speed_profiles(
+            data.time, list(data.speed.sel(arm=arm).values), labels=labels, ax=row[1]
+        )
+        row[0].set_title(f"{arm}-driven arm, noisy trials", loc="left")
+        row[1].set_title(f"{arm}-driven arm, planned", loc="left")
+        if row[1].get_legend():
+            row[1].get_legend().remove()
+    return fig
+
+
+RANGES = {
+    "torque": {"error": 1e-4, "peak": (0.295, 0.302), "deviation": (0.001, 0.012)},
+    "muscle": {"error": 2e-5, "peak": (0.29, 0.44), "deviation": (0.002, 0.035)},
+}
+
+
+def claims(result: Result) -> list[Claim]:
+    """Compare end errors, peak speeds and deviations with those of the other implementation."""
+    found, source = [], "an independent implementation (NumPy) of Li's arms and cost"
+    for arm, wanted in RANGES.items():
+        got = _measures(result.data, arm)
+        error, iterations = got["error"].max(), result.data.iterations.sel(arm=arm).values
+        found.append(
+            Claim(
+                f"The {arm}-driven hand ends on its target in all directions",
+                source,
+                f"within {1e3 * wanted['error']:.2f} mm",
+                f"largest error {1e3 * error:.3f} mm, end speed {got['end_speed'].max():.4f} m/s, "
+                f"{iterations.min()}-{iterations.max()} iterations",
+                error <= wanted["error"],
+            )
+        )
+        for name, unit, scale, text in (
+            ("peak", "m/s", 1.0, "Peak speeds"),
+            ("deviation", "mm", 1e3, "Deviations from the straight line"),
+        ):
+            low, high = wanted[name]
+            least, most = got[name].min(), got[name].max()
+            slack = 0.1 * (high - low)
+            found.append(
+                Claim(
+                    f"{text} of the {arm}-driven arm lie in the range found elsewhere",
+                    source,
+                    f"{scale * low:.3g}-{scale * high:.3g} {unit}, give or take a tenth of it",
+                    f"{scale * least:.3g}-{scale * most:.3g} {unit}",
+                    low - slack <= least and most <= high + slack,
+                )
+            )
+        single = all(_peaks(speed) == 1 for speed in result.data.speed.sel(arm=arm).values)
+        found.append(
+            Claim(
+                f"Speed profiles of the {arm}-driven arm have one peak",
+                "Li (2006), chapter 3",
+                "bell-shaped",
+                "one peak each" if single else "more than one peak in some direction",
+                single,
+            )
+        )
+    return found
+
+
+def _peaks(speed: np.ndarray) -> int:
+    """Count the maxima that stand out by more than 5 % of the largest."""
+    from scipy.signal import find_peaks
+
+    return len(find_peaks(np.append(speed, 0.0), prominence=0.05 * speed.max())[0])

@@ -112,6 +112,13 @@ class Problem(eqx.Module):
                         f"movement, which lasts from 0 to {float(duration):.6g} s"
                     )
 
+    def check_single(self) -> None:
+        """Raise ValueError when this is a batch of problems, where one, with dt (), is wanted."""
+        if self.dt.shape != ():
+            raise ValueError(
+                f"problem: a batch, its dt has shape {self.dt.shape}; it goes through jax.vmap"
+            )
+
     @property
     def duration(self) -> Float[Array, ""]:
         """The time from the first state to the last, T dt [s], shape ()."""
@@ -120,11 +127,13 @@ class Problem(eqx.Module):
     @property
     def ts(self) -> Float[Array, " T+1"]:
         """The times of the states [s], shape (T+1,)."""
+        self.check_single()
         return jnp.arange(self.num_steps + 1, dtype=self.dt.dtype) * self.dt
 
     @property
     def bounds(self) -> Bounds | None:
         """The bounds that hold, the problem's or else the plant's, each (T, nu); None without."""
+        self.check_single()
         bounds = self.plant.control_bounds if self.control_bounds is None else self.control_bounds
         return as_bounds(bounds, (self.num_steps, self.plant.nu))
 

@@ -9,6 +9,7 @@ from ._controller import AbstractController
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant
 from ._problem import Problem, check_x0
+from ._types import promote
 
 
 class Trajectory(eqx.Module):
@@ -44,7 +45,8 @@ def simulate(
     `jax.vmap` over keys.
 
     Arguments:
-        problem: grid, plant, cost and noise.
+        problem: grid, plant, cost and noise. Its arrays, the controller's and x0 are promoted to
+            one floating dtype, the widest among them.
         controller: what acts, such as `solution.policy` or `OpenLoop(us)`.
         x0: true starting state, shape (nx,).
         key: a `jax.random.key`; without one nothing is random and the problem's noise is off.
@@ -72,6 +74,7 @@ def simulate(
     noise = problem.noise if noise is None else noise
     if key is not None:
         _check_key(key)
+    problem, controller, x0, noise = promote((problem, controller, x0, noise))
     return _run(problem, controller, x0, key, noise)
 
 

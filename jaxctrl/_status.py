@@ -10,23 +10,24 @@ from jaxtyping import Array, ArrayLike, Int
 
 
 class Reason(enum.IntEnum):
-    """Reasons for which an iteration ends; the first four are successes."""
+    """Reasons for which an iteration ends; the first five are successes."""
 
     CONVERGED_GRADIENT = 0
     CONVERGED_COST = 1
     CONVERGED_STEP = 2
-    STATIONARY_START = 3
-    RUNNING = 4
-    MAX_STEPS = 5
-    NEARLY_CONVERGED = 6
-    STALLED = 7
-    LINE_SEARCH_FAILED = 8
-    REGULARISATION_EXHAUSTED = 9
-    NONFINITE_INPUT = 10
-    INFEASIBLE_BOUNDS = 11
-    NONFINITE_DYNAMICS = 12
-    NONFINITE_COST = 13
-    NONFINITE_DERIVATIVE = 14
+    CONVERGED_ROUND_OFF = 3
+    STATIONARY_START = 4
+    RUNNING = 5
+    MAX_STEPS = 6
+    NEARLY_CONVERGED = 7
+    STALLED = 8
+    LINE_SEARCH_FAILED = 9
+    REGULARISATION_EXHAUSTED = 10
+    NONFINITE_INPUT = 11
+    INFEASIBLE_BOUNDS = 12
+    NONFINITE_DYNAMICS = 13
+    NONFINITE_COST = 14
+    NONFINITE_DERIVATIVE = 15
 
     @property
     def message(self) -> str:
@@ -41,6 +42,8 @@ _MESSAGES = {
     "below their tolerances",
     Reason.CONVERGED_STEP: "converged: the gradient and the relative step of the controls are "
     "below their tolerances",
+    Reason.CONVERGED_ROUND_OFF: "converged as far as float32 can tell: the expected reduction of "
+    "the cost is at round-off, though the projected gradient is above its tolerance",
     Reason.STATIONARY_START: "stationary at the start: no step was needed. Fine for a warm start; "
     "if the start was a guess, it may be a saddle or a maximum: perturb `us` to tell",
     Reason.RUNNING: "still running",

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
@@ -65,3 +67,14 @@ class LocalModel(NamedTuple):
     luu: Float[Array, "T nu nu"]
     vx: Float[Array, " nx"]
     vxx: Float[Array, "nx nx"]
+
+
+def promote(tree):
+    """Promote every floating array of a pytree to the widest dtype among them."""
+    arrays = [leaf for leaf in jax.tree.leaves(tree) if eqx.is_inexact_array(leaf)]
+    dtype = jnp.result_type(*arrays)
+    if all(array.dtype == dtype for array in arrays):
+        return tree
+    return jax.tree.map(
+        lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, tree
+    )

@@ -100,10 +100,22 @@ def _runge_kutta():
     return jc.Problem(problem.plant, problem.cost, num_steps=25, dt=0.02, integrator=jc.RK4()), x0
 
 
+def _barrier():
+    """A swing-up whose speed a logarithm limits: curvatures of very different sizes."""
+
+    def running(x, u, t):
+        return 1e-3 * u[0] ** 2 - 1e-1 * jnp.log(1.2 + x[1] / 3.0)
+
+    plant = jc.plants.Pendulum()
+    cost = jc.FunctionCost(running=running, terminal=lambda x: 20 * jnp.sum(x**2))
+    return jc.Problem(plant, cost, num_steps=30, dt=0.05), jnp.array([2.5, 0.0])
+
+
 PROBLEMS = {
     "double integrator": _double_integrator,
     "discrete": _discrete,
     "pendulum": _pendulum,
+    "pendulum, barrier": _barrier,
     "pendulum, bounded": lambda: _with(_pendulum(), (-3.0, 3.0)),
     "torque arm, reach": lambda: _torque(reach),
     "torque arm, reach, RK4": _runge_kutta,

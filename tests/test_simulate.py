@@ -147,6 +147,13 @@ def test_old_keys_are_accepted_and_key_reuse_is_never_found(solution):
         jc.simulate(noisy, solution.policy, X0, key=jax.random.key(0))
 
 
+def test_dtypes_are_promoted_to_the_widest(solution):
+    plain = jc.simulate(problem(), solution.policy, X0)
+    mixed = jc.simulate(problem(), solution.policy, X0.astype(jnp.float32))
+    assert mixed.xs.dtype == mixed.us.dtype == jnp.float64
+    np.testing.assert_allclose(mixed.xs, plain.xs, atol=1e-5)
+
+
 def test_simulation_is_differentiable_through_the_noise(solution):
     keys = jax.random.split(jax.random.key(5), 3)
 

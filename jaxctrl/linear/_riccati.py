@@ -6,8 +6,11 @@
 
     k = -Q_uu^-1 Q_u,  K = -Q_uu^-1 Q_ux
 
-    V_x  = Q_x + K'Q_uu k + K'Q_u + Q_ux'k
-    V_xx = Q_xx + K'Q_uu K + K'Q_ux + Q_ux'K                      (true for any k, K)
+    V_x  <- l_x + l_ux'k + K'(l_u + l_uu k) + F'(V_x + V_xx f_u k),     F = f_x + f_u K
+    V_xx <- l_xx + l_ux'K + K'l_ux + K'l_uu K + F'V_xx F
+
+The last two lines hold for any k and K. They are Joseph's form: it subtracts no large numbers,
+where Q_xx - Q_ux'Q_uu^-1 Q_ux would lose V_xx to round-off, and needs as many products.
 
 Damping d >= 0 adds sum_ki d_ki du_ki^2 / 2 to the model (Levenberg and Marquardt).
 
@@ -89,17 +92,16 @@ def lqr(model: LocalModel, damping: ArrayLike = 0.0) -> Sweep:
     def body(V, stage):
         Vx, Vxx = V
         fx, fu, lx, lu, lxx, lux, luu = stage
-        VA, VB = Vxx @ fx, Vxx @ fu
-        Qx, Qu = lx + fx.T @ Vx, lu + fu.T @ Vx
-        Qxx, Qux = lxx + fx.T @ VA, lux + fu.T @ VA
+        VB = Vxx @ fu
+        Qu, Qux = lu + fu.T @ Vx, lux + VB.T @ fx
         Quu = symmetrise(luu + fu.T @ VB)
         factor, ok = cholesky(Quu)
         solved = -cholesky_solve(factor, jnp.concatenate([Qu[:, None], Qux], axis=1))
         solved = jnp.where(ok, solved, 0.0)
         k, K = solved[:, 0], solved[:, 1:]
-        QuuK = Quu @ K
-        Vx = Qx + QuuK.T @ k + K.T @ Qu + Qux.T @ k
-        Vxx = symmetrise(Qxx + K.T @ QuuK + K.T @ Qux + Qux.T @ K)
+        F = fx + fu @ K
+        Vx = lx + lux.T @ k + K.T @ (lu + luu @ k) + F.T @ (Vx + VB @ k)
+        Vxx = _closed_loop(Vxx, F, K, lxx, lux, luu)
         return (Vx, Vxx), (k, K, jnp.diagonal(Quu), ok)
 
     damped = damp(model, damping)
@@ -109,6 +111,12 @@ def lqr(model: LocalModel, damping: ArrayLike = 0.0) -> Sweep:
     curvature = curvature - jnp.broadcast_to(damping, curvature.shape)
     settled = jnp.array(True)
     return Sweep(k, K, free, curvature, linear, quadratic, ok.all(), last_failure(ok), settled)
+
+
+def _closed_loop(Vxx: Array, F: Array, K: Array, lxx: Array, lux: Array, luu: Array) -> Array:
+    """Return the V_xx before a step whose closed loop is dx -> F dx, in Joseph's form."""
+    across = lux.T @ K
+    return symmetrise(lxx + across + across.T + K.T @ luu @ K + F.T @ Vxx @ F)
 
 
 def model_change(model: LocalModel, k: Array, K: Array) -> tuple[Array, Array, Array]:
@@ -132,7 +140,7 @@ class FreeLQR(NamedTuple):
 
     model: LocalModel
     free: Bool[Array, "T nu"]
-    Qux: Float[Array, "T nu nx"]
+    VB: Float[Array, "T nx nu"]
     Quu: Float[Array, "T nu nu"]
     factor: Float[Array, "T nu nu"]
     K: Float[Array, "T nu nx"]
@@ -152,16 +160,16 @@ def factorise(model: LocalModel, free: Bool[Array, "T nu"]) -> FreeLQR:
 
     def body(Vxx, stage):
         fx, fu, lxx, lux, luu, free = stage
-        VA, VB = Vxx @ fx, Vxx @ fu
-        Quu, Qux = symmetrise(luu + fu.T @ VB), lux + fu.T @ VA
+        VB = Vxx @ fu
+        Quu, Qux = symmetrise(luu + fu.T @ VB), lux + VB.T @ fx
         factor, ok = free_factor(Quu, free)
         K = -cholesky_solve(factor, jnp.where(free[:, None] & ok, Qux, 0.0))
-        Vxx = symmetrise(lxx + fx.T @ VA + K.T @ Quu @ K + K.T @ Qux + Qux.T @ K)
-        return Vxx, (Qux, Quu, factor, K, ok)
+        Vxx = _closed_loop(Vxx, fx + fu @ K, K, lxx, lux, luu)
+        return Vxx, (VB, Quu, factor, K, ok)
 
     stages = (model.fx, model.fu, model.lxx, model.lux, model.luu, free)
-    _, (Qux, Quu, factor, K, ok) = jax.lax.scan(body, model.vxx, stages, reverse=True)
-    return FreeLQR(model, free, Qux, Quu, factor, K, ok)
+    _, (VB, Quu, factor, K, ok) = jax.lax.scan(body, model.vxx, stages, reverse=True)
+    return FreeLQR(model, free, VB, Quu, factor, K, ok)
 
 
 def solve_factorised(
@@ -187,14 +195,14 @@ def solve_factorised(
     held = jnp.where(free, 0.0, held)
 
     def back(Vx, stage):
-        fx, fu, lx, b, Qux, Quu, factor, K, free, held = stage
-        Qu = b + fu.T @ Vx
-        rhs = jnp.where(free, Qu + Quu @ held, 0.0)
+        fx, fu, lx, b, lux, luu, VB, Quu, factor, K, free, held = stage
+        rhs = jnp.where(free, b + fu.T @ Vx + Quu @ held, 0.0)
         k = held - cholesky_solve(factor, rhs[:, None])[:, 0]
-        return lx + fx.T @ Vx + K.T @ (Quu @ k + Qu) + Qux.T @ k, k
+        F = fx + fu @ K
+        return lx + lux.T @ k + K.T @ (b + luu @ k) + F.T @ (Vx + VB @ k), k
 
     p = problem
-    stages = (m.fx, m.fu, lx, linear, p.Qux, p.Quu, p.factor, p.K, free, held)
+    stages = (m.fx, m.fu, lx, linear, m.lux, m.luu, p.VB, p.Quu, p.factor, p.K, free, held)
     return jax.lax.scan(back, vx, stages, reverse=True)[1]
 
 

@@ -20,7 +20,7 @@ def convergence(
     *,
     gradient: Any = None,
     step: Any = None,
-    lambda_: Any = None,
+    lam: Any = None,
     labels: str | Sequence[str] | None = None,
 ) -> Figure:
     """Draw the history of a solver, one panel for each trace, over the iterations from 0.
@@ -34,7 +34,7 @@ def convergence(
         cost: cost [arbitrary units], (n,) or (lanes, n).
         gradient: norm of the gradient [arbitrary units], of the shape of `cost`.
         step: accepted length of the line search, dimensionless, of the shape of `cost`.
-        lambda_: regularisation relative to the Hessian, dimensionless, of the shape of `cost`.
+        lam: relative regularisation lambda, dimensionless, of the shape of `cost`.
         labels: one name for each lane.
     Returns: the Figure.
     Raises: ValueError for a wrong shape, a wrong number of labels, or no finite sample.
@@ -44,7 +44,7 @@ def convergence(
     for name, label, value in (
         ("gradient", "gradient [a.u.]", gradient),
         ("step", "step [–]", step),
-        ("lambda_", "λ [–]", lambda_),
+        ("lam", "λ [–]", lam),
     ):
         if value is not None:
             traces.append((label, _lanes(name, value, np.shape(cost))))
@@ -114,7 +114,7 @@ def _draw_lanes(ax: Axes, lanes: np.ndarray, names: list[str] | None, best: int 
     alpha = _marks.transparency(len(lanes))
     others = [i for i in range(len(lanes)) if i != best]
     for i in others:
-        label = f"other {len(others)} lanes" if i == others[0] else None
+        label = f"{len(others)} others" if i == others[0] else None
         ax.plot(
             iterations,
             lanes[i],

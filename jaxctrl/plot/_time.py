@@ -182,11 +182,9 @@ def trajectories(
         if goals is not None:
             for goal, color in zip(goals, colors, strict=True):
                 if np.isfinite(goal):
-                    axes.axhline(
-                        goal, color=color, linestyle=(0, (4, 2.5)), linewidth=0.9, zorder=1
-                    )
-            neutral = matplotlib.rcParams["text.color"]
-            axes.plot([], [], color=neutral, linestyle=(0, (4, 2.5)), linewidth=0.9, label="target")
+                    axes.axhline(goal, color=color, **_TARGET_LINE)
+            shown = colors[0] if count == 1 else matplotlib.rcParams["text.color"]
+            axes.plot([], [], color=shown, label="target", **_TARGET_LINE)
         axes.set_xlabel("time [s]")
         axes.set_ylabel(f"{quantity} [{unit or '–'}]")
         _marks.legend(axes)

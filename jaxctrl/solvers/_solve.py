@@ -12,6 +12,7 @@ from .. import _status
 from .._controller import AffinePolicy
 from .._problem import Problem, check_us, check_x0, is_concrete
 from .._status import Reason, Status
+from .._types import promote
 from ._abstract import AbstractSolver
 from ._adjoint import attach
 from ._solution import Solution, SolveError
@@ -54,27 +55,13 @@ def solve(
         raise TypeError(f"solver: a solver is wanted, got {solver!r}{hint}")
     if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 0:
         raise ValueError(f"max_steps: an integer >= 0 is wanted, got {max_steps!r}")
-    if jnp.shape(problem.dt) != ():
-        raise ValueError(
-            f"problem: a batch, its dt has shape {jnp.shape(problem.dt)}; it goes through jax.vmap"
-        )
+    problem.check_single()
     start, controls = check_x0(problem, x0), check_us(problem, us)
-    problem, start, controls = cast((problem, start, controls))
+    problem, start, controls = promote((problem, start, controls))
     _check_finite(problem)
     _warn(problem, solver, start.dtype)
     solution = _solve(problem, solver, start, controls, max_steps)
     return _throw(solution) if throw else solution
-
-
-def cast(tree):
-    """Promote every floating array of a pytree to the widest dtype among them."""
-    arrays = [leaf for leaf in jax.tree.leaves(tree) if eqx.is_inexact_array(leaf)]
-    dtype = jnp.result_type(*arrays)
-    if all(array.dtype == dtype for array in arrays):
-        return tree
-    return jax.tree.map(
-        lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, tree
-    )
 
 
 def _check_finite(problem: Problem) -> None:

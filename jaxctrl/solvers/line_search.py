@@ -52,11 +52,6 @@ def rollout_law(
     return jnp.concatenate([xs[:1], new_xs]), new_us
 
 
-def round_off(cost: Float[Array, ""]) -> Float[Array, ""]:
-    """Return the change of a cost that is lost in rounding, 10 eps |cost|, shape ()."""
-    return 10 * jnp.finfo(cost.dtype).eps * jnp.abs(cost)
-
-
 def backtrack(
     problem: Problem,
     xs: Float[Array, "T+1 nx"],
@@ -64,6 +59,7 @@ def backtrack(
     cost: Float[Array, ""],
     sweep: Sweep,
     bounds: Bounds | None,
+    round_off: Float[Array, ""],
     wanted: Bool[Array, ""],
 ) -> Trial:
     """Try the fractions 1, 1/2, ..., 2^-10 until one lowers the cost enough.
@@ -76,6 +72,7 @@ def backtrack(
         problem, xs (T+1, nx), us (T, nu), cost: the nominal trajectory.
         sweep: the law and its expected change of the cost.
         bounds: (lower, upper), each (T, nu), or None.
+        round_off: what of a change of the cost is lost in rounding.
         wanted: False skips the search.
 
     Returns: `Trial`, the nominal trajectory itself when nothing was accepted.
@@ -88,7 +85,7 @@ def backtrack(
         new_cost = problem.total_cost(new_xs, new_us)
         expected = -(fraction * sweep.linear + fraction**2 * sweep.quadratic)
         fall = cost - new_cost
-        enough = (fall >= SUFFICIENT * expected) | (expected <= round_off(cost))
+        enough = (fall >= SUFFICIENT * expected) | (expected <= round_off)
         finite = jnp.isfinite(new_cost) & jnp.isfinite(new_xs).all()
         accepted = finite & (fall >= 0) & (expected > 0) & enough
         return halvings + 1, Trial(new_xs, new_us, new_cost, fraction, accepted)

@@ -14,6 +14,7 @@ from jaxctrl.linear import (
     box_qp,
     costates,
     factorise,
+    interior_point,
     lqr,
     lqr_rollout,
     solve_factorised,
@@ -208,7 +209,7 @@ def test_box_sweep_with_wide_bounds_is_the_unbounded_sweep():
         np.testing.assert_allclose(getattr(boxed, name), getattr(plain, name), rtol=1e-9)
 
 
-@pytest.mark.parametrize("seed", [0, 2, 3, 4])
+@pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("width", [0.02, 0.2, 1.0])
 def test_box_sweep_equals_the_dense_bounded_problem(seed, width):
     model = random_model(seed, T=12)
@@ -241,20 +242,50 @@ def test_box_sweep_from_a_wrong_guess_finds_the_same_set():
     np.testing.assert_allclose(again.k, sweep.k, atol=1e-12)
 
 
-def test_box_sweep_whose_sets_cycle_says_that_it_has_not_settled():
-    model = random_model(1, T=12)
-    rng = np.random.default_rng(1)
-    lower = -0.02 * rng.uniform(size=model.lu.shape)
-    upper = 0.02 * rng.uniform(size=model.lu.shape)
-    sweep, _ = box_lqr(model, jnp.asarray(lower), jnp.asarray(upper))
-    assert sweep.ok and not sweep.settled
-
-
-def test_box_sweep_cut_short_says_that_it_has_not_settled():
+def test_box_sweep_cut_short_is_finished_by_the_interior_point():
     model = random_model(10)
     tight = jnp.full(model.lu.shape, 0.05)
+    whole, _ = box_lqr(model, -tight, tight)
     sweep, _ = box_lqr(model, -tight, tight, side=jnp.zeros_like(tight), max_sweeps=1)
-    assert sweep.ok and not sweep.settled
+    assert sweep.ok and sweep.settled
+    np.testing.assert_allclose(
+        sweep.linear + sweep.quadratic, whole.linear + whole.quadratic, rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_interior_point_takes_bounds_that_are_missing_or_equal(seed):
+    model = random_model(seed, T=12)
+    H, g, _ = dense(model, jnp.zeros(4))
+    rng = np.random.default_rng(seed)
+    lower = np.where(rng.uniform(size=model.lu.shape) < 0.3, -np.inf, -0.1)
+    upper = np.where(rng.uniform(size=model.lu.shape) < 0.3, np.inf, 0.2)
+    lower[3], upper[3] = 0.0, 0.0
+    point = interior_point(model, jnp.asarray(lower), jnp.asarray(upper), 1.0, jnp.array(True))
+    assert point.settled and point.ok
+    assert (point.dus >= lower).all() and (point.dus <= upper).all()
+    np.testing.assert_array_equal(point.dus[3], 0.0)
+    dus, low, high = point.dus.ravel(), point.lower_multiplier, point.upper_multiplier
+    # Karush, Kuhn and Tucker's conditions, on the dense problem.
+    slope = (g + H @ dus).reshape(lower.shape)
+    movable = np.arange(12) != 3
+    np.testing.assert_allclose((slope - low + high)[movable], 0, atol=1e-6 * np.abs(g).max())
+    assert (low[np.isinf(lower)] == 0).all() and (high[np.isinf(upper)] == 0).all()
+    value = g @ dus + 0.5 * dus @ H @ dus
+    free = movable.repeat(2)
+    L = np.linalg.cholesky(H[np.ix_(free, free)])
+    bounds = (lower.ravel()[free], upper.ravel()[free])
+    best = scipy.optimize.lsq_linear(L.T, -np.linalg.solve(L, g[free]), bounds, tol=1e-13).x
+    wanted = g[free] @ best + 0.5 * best @ H[np.ix_(free, free)] @ best
+    np.testing.assert_allclose(value, wanted, rtol=1e-5)
+
+
+def test_interior_point_says_where_the_problem_is_not_convex():
+    model = random_model(0)
+    concave = model._replace(luu=-100 * jnp.abs(model.luu))
+    box = jnp.ones(model.lu.shape)
+    point = interior_point(concave, -box, box, 1.0, jnp.array(True))
+    assert not point.ok and not point.settled and jnp.isfinite(point.dus).all()
 
 
 def test_factorised_solve_equals_the_dense_system_with_controls_held():

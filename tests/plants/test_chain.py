@@ -160,7 +160,7 @@ def test_defaults_are_equal_links_of_an_arms_length_and_mass():
         chain = Chain(n)
         np.testing.assert_allclose(chain.length, np.full(n, 0.63 / n))
         np.testing.assert_allclose(chain.mass, np.full(n, 2.4 / n))
-        np.testing.assert_allclose(chain.friction, np.full(n, 0.05))
+        np.testing.assert_allclose(chain.friction, np.full(n, 0.05 * (2 / n) ** 3))
         assert (chain.nx, chain.nu, chain.num_joints, float(chain.gravity)) == (2 * n, n, n, 0.0)
 
 

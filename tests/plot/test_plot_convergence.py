@@ -45,7 +45,7 @@ def test_the_scale_is_logarithmic_where_that_can_be_read():
 def test_an_exact_zero_is_seen_on_a_logarithmic_scale():
     values = padded(30)
     values[10:20] = 0.0
-    figure = plot.convergence(padded(30), lambda_=values)
+    figure = plot.convergence(padded(30), lam=values)
     ax = figure.axes[1]
     figure.draw_without_rendering()
     assert ax.get_ylim()[0] < 0.0 and ax.get_ylabel() == "λ [–]"
@@ -59,13 +59,13 @@ def test_of_many_lanes_the_one_of_lowest_last_cost_stands_out():
     ax = plot.convergence(costs).axes[0]
     (best,) = [line for line in ax.lines if line.get_label() == "lowest cost"]
     np.testing.assert_array_equal(best.get_ydata(), costs[41])
-    assert [text.get_text() for text in ax.get_legend().texts] == ["other 99 lanes", "lowest cost"]
+    assert [text.get_text() for text in ax.get_legend().texts] == ["99 others", "lowest cost"]
 
 
 def test_a_trace_of_another_shape_than_the_cost_is_refused():
     with pytest.raises(ValueError, match=r"step: shape \(39,\) given, wanted \(40,\)"):
         plot.convergence(padded(9), step=np.ones(39))
-    with pytest.raises(ValueError, match="lambda_: no finite sample"):
-        plot.convergence(padded(9), lambda_=np.full(40, np.nan))
+    with pytest.raises(ValueError, match="lam: no finite sample"):
+        plot.convergence(padded(9), lam=np.full(40, np.nan))
     with pytest.raises(ValueError, match="labels: 1 given, wanted 2"):
         plot.convergence(np.ones((2, 5)), labels=["a"])

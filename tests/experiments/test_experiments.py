@@ -1,0 +1,33 @@
+"""Every experiment of the registry, in its quick configuration."""
+
+import dataclasses
+import warnings
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from jaxctrl import experiments
+from jaxctrl.experiments._result import Claim, Result
+
+
+@pytest.mark.parametrize("name", experiments.names())
+def test_quick_run_converges_draws_and_claims(name):
+    module = experiments.load(name)
+    config = module.Config.quick()
+    assert dataclasses.asdict(config) != dataclasses.asdict(module.Config())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = module.run(config)
+        figure = module.figure(result)
+    assert isinstance(result, Result) and result.config == config
+    assert result.failure == ""
+    for variable in result.data.data_vars.values():
+        assert np.isfinite(variable).all(), variable.name
+    labelled = [a for a in figure.axes if a.axison]
+    assert any(axes.get_xlabel() for axes in labelled) and any(a.get_ylabel() for a in labelled)
+    claims = module.claims(result)
+    assert claims and all(isinstance(claim, Claim) for claim in claims)
+    for claim in claims:
+        assert claim.holds or claim.note, claim.statement
+    plt.close(figure)

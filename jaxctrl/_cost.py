@@ -182,11 +182,16 @@ class QuadraticCost(AbstractCost):
 
     def running(self, plant, x, u, t):
         """Return (x-x*)'Q(x-x*)/2 + u'R u/2, shape ()."""
-        return quadratic_form(self.Q, x - self.target, "Q") + quadratic_form(self.R, u, "R")
+        return quadratic_form(self.Q, self._offset(x), "Q") + quadratic_form(self.R, u, "R")
 
     def terminal(self, plant, x):
         """Return (x-x*)'Qf(x-x*)/2, shape ()."""
-        return quadratic_form(self.Qf, x - self.target, "Qf")
+        return quadratic_form(self.Qf, self._offset(x), "Qf")
+
+    def _offset(self, x):
+        if self.target.shape not in ((), x.shape):
+            raise ValueError(f"target: shape {self.target.shape}, wanted () or {x.shape}")
+        return x - self.target
 
     @property
     def events(self):

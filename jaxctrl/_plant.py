@@ -53,13 +53,25 @@ class AbstractArm(AbstractPlant):
         """Return the position e(q) of the hand [m], shape (2,), for joint angles q [rad]."""
 
     def hand(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
-        """Return the position e(q) of the hand [m], shape (2,)."""
+        """Return the position e(q) of the hand [m], shape (2,), at a state x (nx,).
+
+        Raises ValueError for another shape; a trajectory goes through `jax.vmap`.
+        """
+        self._check_state(x)
         return self.hand_of_joints(x[: self.num_joints])
 
     def hand_velocity(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
-        """Return the velocity of the hand, de/dq dq [m/s], shape (2,)."""
+        """Return the velocity of the hand, de/dq dq [m/s], shape (2,); raises as `hand` does."""
+        self._check_state(x)
         n = self.num_joints
         return jax.jvp(self.hand_of_joints, (x[:n],), (x[n : 2 * n],))[1]
+
+    def _check_state(self, x) -> None:
+        if jnp.shape(x) != (self.nx,):
+            raise ValueError(
+                f"x: got shape {jnp.shape(x)}, wanted ({self.nx},); a trajectory goes through "
+                "jax.vmap(arm.hand)"
+            )
 
 
 def _static_callable(function: Callable) -> Callable:

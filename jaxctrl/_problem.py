@@ -202,7 +202,8 @@ class Problem(eqx.Module):
 
 
 def _bounds_shape(bounds, nu: int, num_steps: int) -> tuple[int, ...]:
-    per_step = bounds is not None and max(jnp.ndim(b) for b in bounds) == 2
+    pair = isinstance(bounds, tuple | list)  # what is none is refused by `as_bounds`
+    per_step = pair and any(np.ndim(bound) == 2 for bound in bounds)
     return (num_steps, nu) if per_step else (nu,)
 
 
@@ -235,7 +236,7 @@ def check_array(name: str, value: ArrayLike, shape: tuple[int, ...], hint: str =
 def check_x0(problem: Problem, x0: ArrayLike) -> Float[Array, " nx"]:
     """Return x0 as an array (nx,); raises ValueError or TypeError naming x0."""
     nx = problem.plant.nx
-    shape = jnp.shape(x0) if not isinstance(x0, Callable) else ()
+    shape = np.shape(x0) if not isinstance(x0, Callable) else ()
     hint = ""
     if shape == (nx, 1):
         hint = "drop the second axis"
@@ -249,7 +250,7 @@ def check_us(problem: Problem, us: ArrayLike | None) -> Float[Array, "T nu"]:
     if us is None:
         return problem.nominal_controls
     wanted = (problem.num_steps, problem.plant.nu)
-    shape = jnp.shape(us) if not isinstance(us, Callable) else ()
+    shape = np.shape(us) if not isinstance(us, Callable) else ()
     hint = ""
     if shape == wanted[::-1]:
         hint = "time is the leading axis: transpose it"

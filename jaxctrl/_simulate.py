@@ -1,11 +1,13 @@
 """Run a controller on a plant, with or without noise: the only closed-loop scan."""
 
+import warnings
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from ._controller import AbstractController
+from ._controller import AbstractController, AffinePolicy, OpenLoop
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant
 from ._problem import Problem, check_x0
@@ -74,6 +76,11 @@ def simulate(
     noise = problem.noise if noise is None else noise
     if key is not None:
         _check_key(key)
+        if noise is None and isinstance(controller, AffinePolicy | OpenLoop):
+            warnings.warn(
+                "key: given, but nothing is random: neither the problem nor this call has `noise`",
+                stacklevel=2,
+            )
     problem, controller, x0, noise = promote((problem, controller, x0, noise))
     return _run(problem, controller, x0, key, noise)
 

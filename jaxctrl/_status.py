@@ -62,7 +62,7 @@ _MESSAGES = {
     Reason.NONFINITE_DYNAMICS: "failed: the dynamics are not finite at step {index} of the "
     "starting trajectory; start from other controls `us`, or shorten dt",
     Reason.NONFINITE_COST: "failed: the cost is not finite at step {index} of the starting "
-    "trajectory; start from other controls `us`",
+    "trajectory; start from other controls `us`, or, at step 0, from another x0",
     Reason.NONFINITE_DERIVATIVE: "failed: a derivative of the dynamics or of the cost is not "
     "finite at step {index}, where its value is",
 }

@@ -190,3 +190,8 @@ def test_many_keys_or_a_forgotten_policy_are_named(solution):
     with pytest.raises(ValueError, match="intensity: shape"):
         wrong = problem(jc.AdditiveNoise(np.zeros((3, 1))))
         jc.simulate(wrong, solution.policy, X0, key=jax.random.key(0))
+
+
+def test_a_key_without_any_noise_warns(solution):
+    with pytest.warns(UserWarning, match="key: given, but nothing is random"):
+        jc.simulate(problem(), solution.policy, X0, key=jax.random.key(0))

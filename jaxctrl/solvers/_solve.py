@@ -116,15 +116,31 @@ def _check_functions(problem: Problem, x0: Array, us: Array) -> None:
             out = jax.eval_shape(call)
         except Exception as error:
             error.add_note(f"raised while {name} was traced, with x {x0.shape}, u {us[0].shape}")
+            error.add_note(_advice(error))
             raise
         got = getattr(out, "shape", None)
+        if got is None:
+            raise TypeError(
+                f"{name}: returned a {type(out).__name__}, wanted one array {wanted}; jnp.array "
+                "or jnp.stack makes it one"
+            )
         if got != shape:
-            raise ValueError(f"{name}: returned {out if got is None else got}, wanted {wanted}")
+            raise ValueError(f"{name}: returned {got}, wanted {wanted}")
         if out.dtype != x0.dtype:
             raise TypeError(
                 f"{name}: returned {out.dtype} from {x0.dtype} arguments; write constants as "
                 "Python numbers, or give the arrays it uses to it as `params`"
             )
+
+
+def _advice(error: Exception) -> str:
+    """Say what usually mends an error in a user's function."""
+    if isinstance(error, jax.errors.ConcretizationTypeError):
+        return "use jnp.where or jax.lax.cond where it depends on values of x, u or t"
+    return (
+        "it is called as dynamics(x, u, t), running(x, u, t), terminal(x) or event(x, i), with "
+        "`params` as a last argument when these are given"
+    )
 
 
 @eqx.filter_jit

@@ -369,3 +369,22 @@ def test_solve_prints_nothing_and_solutions_print_a_table(capsys):
     text = str(solution)
     for word in ("converged", "cost", "gradient", "iterations", "reason"):
         assert word in text
+
+
+def test_user_functions_of_the_wrong_form_are_answered_with_advice():
+    with pytest.raises(TypeError, match="plant: returned a list, wanted one array"):
+        jc.solve(swing(lambda x, u, t, p: [x[1], u[0]]), jc.ILQR(), X0)
+    with pytest.raises(TypeError) as caught:
+        jc.solve(swing(lambda x, u, t: x), jc.ILQR(), X0)
+    assert any("dynamics(x, u, t)" in note for note in caught.value.__notes__)
+    with pytest.raises(jax.errors.TracerBoolConversionError) as caught:
+        jc.solve(swing(lambda x, u, t, p: x if x[0] > 0 else -x), jc.ILQR(), X0)
+    assert any("jnp.where" in note for note in caught.value.__notes__)
+
+
+def test_bounds_and_targets_of_the_wrong_form_are_named():
+    with pytest.raises(ValueError, match=r"control_bounds: a pair .* got 1.0"):
+        swing(control_bounds=1.0)
+    problem = swing(cost=jc.QuadraticCost(Qf=1.0, target=jnp.zeros(3)))
+    with pytest.raises(ValueError, match=r"target: shape \(3,\), wanted \(\) or \(2,\)"):
+        jc.solve(problem, jc.ILQR(), X0)

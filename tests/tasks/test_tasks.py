@@ -170,3 +170,23 @@ def test_misuse_is_named(arm, build, error, match):
 def test_traced_duration_asks_for_the_number_of_steps(arm, x0):
     with pytest.raises(ValueError, match="num_steps: wanted when `duration` is traced"):
         jax.jit(lambda d: jc.tasks.reach(arm, TARGET, d).dt)(0.5)
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"effort": -1.0}, {"motor_noise": -0.1}, {"position_weight": -1.0}]
+)
+def test_negative_weights_are_refused_by_name(arguments):
+    (name,) = arguments
+    with pytest.raises(ValueError, match=f"{name}: at least 0 is wanted, got -"):
+        jc.tasks.reach(jc.plants.TorqueArm(), jnp.array([-0.1, 0.5]), **arguments)
+    with pytest.raises((TypeError, ValueError), match=name):
+        jc.tasks.reach(jc.plants.TorqueArm(), jnp.array([-0.1, 0.5]), **{name: "much"})
+
+
+def test_a_trajectory_handed_to_the_hand_is_refused_with_a_hint():
+    arm = jc.plants.TorqueArm()
+    xs = jnp.zeros((51, 4))
+    for method in (arm.hand, arm.hand_velocity):
+        with pytest.raises(ValueError, match=r"x: got shape \(51, 4\), wanted \(4,\); .*jax.vmap"):
+            method(xs)
+    assert jax.vmap(arm.hand)(xs).shape == (51, 2)

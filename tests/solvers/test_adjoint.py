@@ -10,7 +10,7 @@ from problems import PROBLEMS
 import jaxctrl as jc
 
 TIGHT = jc.ILQR(gradient_tolerance=1e-7, cost_tolerance=1e-14)
-CASES = ["pendulum", "pendulum, bounded", "torque arm, reach", "torque arm, reach, bounded"]
+CASES = ["pendulum", "pendulum, bounded", "torque arm, reach, bounded"]
 
 
 def differences(value, leaf, h):
@@ -48,7 +48,7 @@ def test_controls_and_cost_differentiate_in_the_start_and_in_a_plant_parameter(n
         # Too long a step changes the set of bounds that hold; too short a one shows how far from
         # the optimum the re-solves end.
         errors = []
-        for h in (1e-2, 1e-3, 1e-4, 1e-5):
+        for h in (1e-2, 1e-3, 1e-4):
             wanted = differences(lambda leaf, at=at: at(leaf).us, leaf, h)
             errors.append(float(jnp.abs(flat - wanted).max() / jnp.abs(wanted).max()))
         assert min(errors) < 3e-4, errors

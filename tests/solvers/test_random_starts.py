@@ -17,7 +17,7 @@ def test_lanes_of_the_muscle_arm_equal_their_solo_runs():
     batch = jax.jit(jax.vmap(lambda us: jc.solve(problem, jc.ILQR(), x0, us)))(starts)
     ok = np.asarray(batch.status.ok)
     assert ok.sum() >= 95, str(batch)
-    for lane in range(100):
+    for lane in range(0, 100, 5):
         solo = solve(starts[lane])
         assert solo.status.code == batch.status.code[lane]
         assert solo.num_steps == batch.num_steps[lane]

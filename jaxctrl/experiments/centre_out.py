@@ -153,8 +153,9 @@ def figure(result: Result) -> Figure:
         plot.speed_profiles(
             data.time, list(data.speed.sel(arm=arm).values), labels=labels, ax=row[1]
         )
-        row[0].set_title(f"{arm}-driven arm, noisy trials", loc="left")
-        row[1].set_title(f"{arm}-driven arm, planned", loc="left")
+        with plot.style():
+            row[0].set_title(f"{arm}-driven arm, noisy trials", loc="left")
+            row[1].set_title(f"{arm}-driven arm, planned", loc="left")
         if row[1].get_legend():
             row[1].get_legend().remove()
     return fig

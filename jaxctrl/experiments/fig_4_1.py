@@ -102,11 +102,13 @@ def figure(result: Result) -> Figure:
             ax=ax,
         )
         ax.set_ylabel("joint angle [rad]")
-        ax.set_title(title, loc="left")
+        with plot.style():
+            ax.set_title(title, loc="left")
     plot.phase(
         list(data.pendulum.values), labels=list(data.start.values), target=(0, 0), ax=axes[0, 2]
     )
-    axes[0, 2].set_title("C  pendulum", loc="left")
+    with plot.style():
+        axes[0, 2].set_title("C  pendulum", loc="left")
     return fig
 
 

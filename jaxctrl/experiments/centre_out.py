@@ -169,7 +169,7 @@ RANGES = {
 
 TWO_PEAKS = (
     "the cheapest movement of the six muscles is not quite bell-shaped: along 0 and 180 degrees, "
-    "where the path bends most, the speed dips between two maxima; other starts find the same"
+    "where the path bends most, the speed dips between two maxima"
 )
 
 

@@ -24,8 +24,10 @@ def _grid(duration: ArrayLike, num_steps: int | None) -> tuple[int, ArrayLike]:
                 "num_steps: wanted when `duration` is traced (under jit, grad or vmap), since "
                 "the number of steps is static"
             )
-        seconds = float(check_array("duration", duration, ()))
-        if not seconds > 0:
+        if np.shape(duration) != ():
+            raise ValueError(f"duration: got shape {np.shape(duration)}, wanted ()")
+        seconds = float(np.asarray(duration))  # jnp would trace it, under jit
+        if not 0 < seconds < np.inf:
             raise ValueError(f"duration: a positive time [s] is wanted, got {duration}")
         num_steps = max(1, round(seconds / STEP))
     elif num_steps < 1:
@@ -195,9 +197,9 @@ def obstacle(
 
     Arguments:
         centre, radius: e_ob [m], shape (2,), and r_ob [m].
-        obstacle_weight: k1 [m^2/s]. It sets how far the hand keeps from the disc: around a disc
-            on an 11 cm reach 2 cm with torques and 3 cm with muscles, whose cost is smaller, by
-            default; 1 cm and less for 1e-10. Either side may be a local optimum: try other starts.
+        obstacle_weight: k1 [m^2/s]. The larger beside the rest of the cost, the wider the
+            detour: muscles, whose effort is small, go around further than torques do. Either side
+            may be a local optimum: try other starts.
         plant, target, duration and all further arguments: as in `reach`.
 
     Returns: `Problem`. Raises as `reach` does, and ValueError when the disc contains the target.

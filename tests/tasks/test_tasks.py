@@ -190,3 +190,9 @@ def test_a_trajectory_handed_to_the_hand_is_refused_with_a_hint():
         with pytest.raises(ValueError, match=r"x: got shape \(51, 4\), wanted \(4,\); .*jax.vmap"):
             method(xs)
     assert jax.vmap(arm.hand)(xs).shape == (51, 2)
+
+
+def test_a_task_with_the_default_duration_may_be_built_under_jit():
+    arm = jc.plants.TorqueArm()
+    build = jax.jit(lambda target: jc.tasks.reach(arm, target).dt)
+    np.testing.assert_allclose(build(jnp.array([-0.1, 0.5])), 0.01)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         QuadraticCost as QuadraticCost,
         SumCost as SumCost,
     )
+    from ._cpu import enable_fast_cpu as enable_fast_cpu
     from ._integrate import (
         RK4 as RK4,
         AbstractIntegrator as AbstractIntegrator,
@@ -45,10 +46,16 @@ if TYPE_CHECKING:
     from ._status import Reason as Reason, Status as Status
     from ._types import LocalModel as LocalModel
     from .solvers import (
+        DDP as DDP,
         ILQR as ILQR,
         AbstractSolver as AbstractSolver,
         Record as Record,
         Tolerances as Tolerances,
+    )
+    from .solvers._batch import best as best, solve_batch as solve_batch
+    from .solvers._check_gradients import (
+        GradientReport as GradientReport,
+        check_gradients as check_gradients,
     )
     from .solvers._solution import Solution as Solution, SolveError as SolveError
     from .solvers._solve import solve as solve
@@ -57,6 +64,7 @@ if TYPE_CHECKING:
 _WHERE = {
     "_controller": ("AbstractController", "AffinePolicy", "OpenLoop"),
     "_cost": ("AbstractCost", "Events", "FunctionCost", "QuadraticCost", "SumCost"),
+    "_cpu": ("enable_fast_cpu",),
     "_integrate": ("AbstractIntegrator", "Euler", "NextState", "RK4"),
     "_local_model": ("expand",),
     "_noise": ("AbstractNoise", "AdditiveNoise", "SignalDependentNoise"),
@@ -65,7 +73,9 @@ _WHERE = {
     "_simulate": ("Trajectory", "simulate"),
     "_status": ("Reason", "Status"),
     "_types": ("LocalModel",),
-    "solvers": ("AbstractSolver", "ILQR", "Record", "Tolerances"),
+    "solvers": ("AbstractSolver", "DDP", "ILQR", "Record", "Tolerances"),
+    "solvers._batch": ("best", "solve_batch"),
+    "solvers._check_gradients": ("GradientReport", "check_gradients"),
     "solvers._solution": ("Solution", "SolveError"),
     "solvers._solve": ("solve",),
 }

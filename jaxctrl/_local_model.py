@@ -2,8 +2,9 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from ._jacobian import jacobian
 from ._problem import Problem
 from ._types import LocalModel
 from .linear import costates
@@ -14,7 +15,7 @@ def expand(
     xs: Float[Array, "T+1 nx"],
     us: Float[Array, "T nu"],
     *,
-    second_order: bool = False,
+    second_order: bool | Bool[Array, ""] = False,
 ) -> LocalModel:
     """Expand dynamics to first order and cost to second order along xs (T+1, nx), us (T, nu).
 
@@ -23,7 +24,7 @@ def expand(
         xs, us: a trajectory of the problem.
         second_order: add the dynamics' second derivatives, contracted with the costates:
             l_zz += p' f_zz, z = (x, u). The model is then that of Newton's method in the controls;
-            without, of Gauss and Newton's.
+            without, of Gauss and Newton's. May be traced.
 
     Returns: `LocalModel`; the cost blocks include the time step, and events are folded in: an event
     between x_k and x_{k+1} = f(x_k, u_k) is a function of (x_k, u_k).
@@ -41,16 +42,17 @@ def expand(
     def terminal(x):
         return problem.cost.terminal(problem.plant, x)
 
-    fz = jax.vmap(jax.jacfwd(step))(zs, ts)
+    running_hessian = jacobian(jax.grad(running), symmetric=True)
+    fz = jax.vmap(jacobian(step))(zs, ts)
     lz = jax.vmap(jax.grad(running))(zs, ts)
     if problem.cost.running_is_quadratic:
-        hessian = jax.hessian(running)(jnp.zeros_like(zs[0]), ts[0])
+        hessian = running_hessian(jnp.zeros_like(zs[0]), ts[0])
         lzz = jnp.broadcast_to(hessian, (len(zs), *hessian.shape))
     else:
-        lzz = jax.vmap(jax.hessian(running))(zs, ts)
+        lzz = jax.vmap(running_hessian)(zs, ts)
     vx = jax.grad(terminal)(xs[-1])
     at = jnp.zeros_like(xs[-1]) if problem.cost.terminal_is_quadratic else xs[-1]
-    vxx = jax.hessian(terminal)(at)
+    vxx = jacobian(jax.grad(terminal), symmetric=True)(at)
 
     weights = []
     for group in problem.cost.events:
@@ -59,7 +61,7 @@ def expand(
         lzz = lzz.at[k].add(z_hessian)
         weights.append((k, weight))
     model = _blocks(fz, lz, lzz, vx, vxx)
-    if not second_order:
+    if second_order is False:
         return model
 
     # An event within step k depends on x_{k+1} too, and weighs on f_zz like a costate.
@@ -67,10 +69,14 @@ def expand(
     for k, weight in weights:
         p = p.at[k].add(weight)
 
-    def contracted(p, z, t):
-        return jax.hessian(lambda z: p @ step(z, t))(z)
+    def slope(z, p, t):
+        return jax.grad(lambda z: jnp.sum(p * step(z, t)))(z)
 
-    return _blocks(fz, lz, lzz + jax.vmap(contracted)(p, zs, ts), vx, vxx)
+    def exact():
+        return lzz + jax.vmap(jacobian(slope, symmetric=True))(zs, p, ts)
+
+    lzz = exact() if second_order is True else jax.lax.cond(second_order, exact, lambda: lzz)
+    return _blocks(fz, lz, lzz, vx, vxx)
 
 
 def _event_terms(problem: Problem, group, xs, fz):
@@ -105,3 +111,40 @@ def _blocks(fz, lz, lzz, vx, vxx) -> LocalModel:
         vx=vx,
         vxx=vxx,
     )
+
+
+def stage_lagrangian(
+    problem: Problem, xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"], p: Float[Array, "T nx"]
+) -> tuple[Array, tuple[Array, Array, Array]]:
+    """Return sum_k L_k + v(x_T), L_k = l_k + p_{k+1}'f_k, along a trajectory, and its gradients.
+
+    Events within step k are functions of (x_k, u_k), as in `expand`.
+
+    Arguments: xs (T+1, nx), us (T, nu), and p, the costates p_1 ... p_T (T, nx), held fixed.
+
+    Returns: the value, shape (), and its gradients in x_0 ... x_{T-1} (T, nx), in us (T, nu) and in
+    x_T (nx,).
+    """
+    nx = problem.plant.nx
+    zs, ts = jnp.concatenate([xs[:-1], us], axis=1), problem.ts[:-1]
+
+    def stage(z, p, t):
+        x, u = z[:nx], z[nx:]
+        cost = problem.rate * problem.cost.running(problem.plant, x, u, t)
+        return cost + jnp.sum(p * problem.step(x, u, t))
+
+    values, lz = jax.vmap(jax.value_and_grad(stage))(zs, p, ts)
+    last, vx = jax.value_and_grad(lambda x: problem.cost.terminal(problem.plant, x))(xs[-1])
+    total = jnp.sum(values) + last
+    for group in problem.cost.events:
+        k, fraction = problem.event_steps(group.times)
+
+        def event(z, t, fraction, i, value=group.value):
+            x = z[:nx] + fraction * (problem.step(z[:nx], z[nx:], t) - z[:nx])
+            return value(problem.plant, x, i)
+
+        values, slopes = jax.vmap(jax.value_and_grad(event))(
+            zs[k], ts[k], fraction, jnp.arange(k.size)
+        )
+        total, lz = total + jnp.sum(values), lz.at[k].add(slopes)
+    return total, (lz[:, :nx], lz[:, nx:], vx)

@@ -165,6 +165,10 @@ class Problem(eqx.Module):
         _, xs = jax.lax.scan(body, x0, (us, self.ts[:-1]))
         return jnp.concatenate([x0[None], xs])
 
+    def replay(self, xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"]) -> Float[Array, "T nx"]:
+        """Return each next state (T, nx) of the trajectory's own states and controls us (T, nu)."""
+        return jax.vmap(self.step)(xs[:-1], us, self.ts[:-1])
+
     def stage_costs(
         self, xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"]
     ) -> Float[Array, " T+1"]:

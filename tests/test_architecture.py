@@ -22,6 +22,8 @@ FLOORS = {
     "_types": 0,
     "_status": 0,
     "_linalg": 0,
+    "_cpu": 0,
+    "_jacobian": 0,
     "_plant": 1,
     "_cost": 1,
     "_noise": 1,
@@ -43,7 +45,10 @@ WITHIN = {
     1: ["_plant", "_cost", "_noise", "_integrate", "_controller"],
     3: ["_simulate", "_local_model"],
 }
-SOLVERS = ["_abstract", "line_search", "shooting", "ilqr", "_solution", "_adjoint", "_solve"]
+SOLVERS = [
+    "_abstract", "line_search", "shooting", "ilqr", "ddp", "_solution", "_adjoint", "_solve",
+    "_batch", "_check_gradients",
+]  # fmt: skip
 
 
 def module_of(path):

@@ -7,30 +7,28 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from .._types import LocalModel
-from ._interior_point import InteriorPoint, interior_point, moved, open_loop
-from ._riccati import (
-    Sweep,
-    costates,
-    damp,
-    factorise,
-    last_failure,
-    lqr_rollout,
-    model_change,
-    solve_factorised,
-)
+from ._interior_point import Box, InteriorPoint, interior_point
+from ._riccati import Sweep, costates, factorise, last_true, nonfinite, solve_factorised
 
 
 class _Iterate(NamedTuple):
-    """Controls du (T, nu), the sides that led to them, gains, and what comes next."""
+    """A point, the sides that led to it, gains, what comes next, and an interior point.
 
+    `interior` is the point and slope that the interior-point method found, and whether it did.
+    """
+
+    dxs: Float[Array, "T+1 nx"]
     dus: Float[Array, "T nu"]
+    slope: Float[Array, "T nu"]
     side: Float[Array, "T nu"]
     following: Float[Array, "T nu"]
     K: Float[Array, "T nu nx"]
     curvature: Float[Array, "T nu"]
     ok: Bool[Array, " T"]
+    finite: Bool[Array, " T"]
     settled: Bool[Array, ""]
     count: Int[Array, ""]
+    interior: tuple[Array, Array, Array, Array]
 
 
 def box_lqr(
@@ -58,92 +56,97 @@ def box_lqr(
         lower, upper: bounds on du, shape (T, nu), lower <= 0 <= upper.
         damping: as in `lqr`.
         side: first guess of the held set, shape (T, nu): -1 at the lower bound, 1 at the upper,
-            0 free; such as the last one; by default `pushed`.
+            0 free, NaN where what the gradient pushes against a bound is to be the guess, which is
+            the default everywhere.
         max_sweeps: limit of the iteration over sets.
 
     Returns: `Sweep`, whose law keeps du in the box on the model and whose gains are zero for held
     controls, and the held set, as `side`. Its `settled` is False where neither method ended.
     """
-    damped = damp(model, damping)
-    if side is None:
-        side = pushed(costates(model)[1], lower, upper)
+    gradient = costates(model)[1]
+    box = Box(model, gradient, jnp.broadcast_to(damping, gradient.shape), lower, upper)
+    side = jnp.full_like(gradient, jnp.nan) if side is None else side
+    side = jnp.where(jnp.isnan(side), _pushed(gradient, lower, upper), side)
+    none, every = jnp.zeros_like(gradient), jnp.ones(len(gradient), bool)
+    dxs = jnp.zeros((len(gradient) + 1, model.vx.size), none.dtype)
     start = _Iterate(
-        dus=jnp.zeros_like(model.lu),
+        dxs=dxs,
+        dus=none,
+        slope=none,
         side=side,
         following=side,
-        K=jnp.zeros((*model.lu.shape, model.vx.size), model.lu.dtype),
-        curvature=jnp.zeros_like(model.lu),
-        ok=jnp.ones(model.lu.shape[0], bool),
+        K=jnp.zeros((*none.shape, model.vx.size), none.dtype),
+        curvature=none,
+        ok=every,
+        finite=every,
         settled=jnp.array(False),
         count=jnp.array(0),
+        interior=(dxs, none, none, jnp.array(False)),
     )
 
     def unsettled(iterate: _Iterate):
-        return ~iterate.settled & iterate.ok.all() & (iterate.count < max_sweeps)
+        return ~iterate.settled & iterate.ok.all() & (iterate.count < 2 * max_sweeps)
 
-    guessed = jax.lax.while_loop(
-        unsettled, lambda iterate: _active_set(damped, lower, upper, iterate), start
+    def body(iterate: _Iterate):
+        cycling = iterate.count == max_sweeps
+        # Under vmap both branches are computed: a lane that does not cycle must not iterate there.
+        restart = jax.lax.cond(
+            cycling, lambda it: _restart(box, it, cycling), lambda it: it, iterate
+        )
+        return _active_set(box, restart)
+
+    last = jax.lax.while_loop(unsettled, body, start)
+    found = last.interior[3]
+    dxs, dus, slope = (
+        jnp.where(last.settled | ~found, own, interior)
+        for own, interior in zip(last[:3], last.interior[:3], strict=True)
     )
-    cycling = ~guessed.settled & guessed.ok.all()
-    point = interior_point(damped, lower, upper, jnp.max(jnp.abs(guessed.dus)), cycling)
-    restart = guessed._replace(
-        following=jnp.where(guessed.settled, guessed.side, _held(guessed, point, lower, upper)),
-        count=jnp.array(0),
-    )
-    last = jax.lax.while_loop(
-        unsettled, lambda iterate: _active_set(damped, lower, upper, iterate), restart
-    )
-    dus = jnp.where(last.settled, last.dus, point.dus)
     # The law that leads to these controls on the model.
-    k = dus - jnp.einsum("tij,tj->ti", last.K, open_loop(damped, dus)[:-1])
-    linear, quadratic, _ = model_change(model, k, last.K)
+    k = dus - jnp.einsum("tij,tj->ti", last.K, dxs[:-1])
+    linear = jnp.sum(gradient * dus)
+    quadratic = box.change(dus, slope) - linear
     sweep = Sweep(
-        k=k,
-        K=last.K,
-        free=last.side == 0,
-        curvature=last.curvature - jnp.broadcast_to(damping, last.curvature.shape),
-        linear=linear,
-        quadratic=quadratic,
-        ok=last.ok.all(),
-        failed=last_failure(last.ok),
-        settled=last.settled | (cycling & point.settled),
-    )
+        k, last.K, gradient, last.curvature - box.damping, linear, quadratic,
+        last.ok.all(), last_true(~last.ok), nonfinite(model, last.finite), last.settled | found,
+    )  # fmt: skip
     return sweep, last.side
 
 
-def pushed(
-    gradient: Float[Array, "T nu"], lower: Float[Array, "T nu"], upper: Float[Array, "T nu"]
-) -> Float[Array, "T nu"]:
-    """Return what the gradient at du = 0 pushes against a bound: -1 lower, 1 upper, 0 neither.
-
-    Arguments: gradient, and the bounds on du, each of shape (T, nu).
-    """
+def _pushed(gradient: Array, lower: Array, upper: Array) -> Array:
+    """Return what the gradient at du = 0 pushes against a bound: -1 lower, 1 upper, 0 neither."""
     at_upper = jnp.where((upper <= 0) & (gradient < 0), 1.0, 0.0)
     return jnp.where((lower >= 0) & (gradient > 0), -1.0, at_upper).astype(gradient.dtype)
 
 
-def _held(iterate: _Iterate, point: InteriorPoint, lower: Array, upper: Array) -> Array:
+def _restart(box: Box, iterate: _Iterate, wanted: Bool[Array, ""]) -> _Iterate:
+    """Propose the set that holds at the interior-point method's solution."""
+    point = interior_point(box, jnp.max(jnp.abs(iterate.dus)), wanted)
+    return iterate._replace(
+        following=_held(iterate, point, box),
+        interior=(point.dxs, point.dus, point.slope, point.settled),
+    )
+
+
+def _held(iterate: _Iterate, point: InteriorPoint, box: Box) -> Array:
     """Return the side of each control whose multiplier outweighs its distance from the bound."""
     D = jnp.maximum(iterate.curvature, 0.0)
-    at_lower = point.lower_multiplier > D * (point.dus - lower)
-    at_upper = point.upper_multiplier > D * (upper - point.dus)
+    at_lower = point.lower_multiplier > D * (point.dus - box.lower)
+    at_upper = point.upper_multiplier > D * (box.upper - point.dus)
     return jnp.where(at_lower, -1.0, jnp.where(at_upper, 1.0, 0.0)).astype(D.dtype)
 
 
-def _active_set(model: LocalModel, lower, upper, iterate: _Iterate) -> _Iterate:
+def _active_set(box: Box, iterate: _Iterate) -> _Iterate:
     """Solve with the proposed set held, then propose the next one."""
-    side = iterate.following
-    problem = factorise(model, side == 0)
+    lower, upper, side = box.lower, box.upper, iterate.following
+    problem = factorise(box.model, side == 0, box.damping)
     held = jnp.where(side < 0, lower, upper)
-    k = solve_factorised(problem, model.lu, held, model.lx, model.vx)
-    still = jnp.zeros_like(model.vx)
-    dxs, dus = lqr_rollout(model, k, problem.K, still)
+    dxs, dus = solve_factorised(problem, box.gradient, held)
+    slope = box.slope(dxs, dus)
     # In float32 a badly scaled law is too coarse to tell which multipliers push inwards.
     for _ in range(0 if dus.dtype == jnp.float64 else 2):
-        at = moved(model, dxs, dus)
-        k += solve_factorised(problem, at.lu, jnp.zeros_like(held), at.lx, at.vx)
-        dxs, dus = lqr_rollout(model, k, problem.K, still)
-    slope = costates(moved(model, dxs, dus))[1]
+        more = solve_factorised(problem, slope, jnp.zeros_like(held))
+        dxs, dus = dxs + more[0], dus + more[1]
+        slope = box.slope(dxs, dus)
 
     # What is in the box and pushed nowhere keeps its place.
     eps = jnp.finfo(dus.dtype).eps
@@ -156,5 +159,6 @@ def _active_set(model: LocalModel, lower, upper, iterate: _Iterate) -> _Iterate:
     following = jnp.where(side == 0, left, side * stays)
     settled = (following == side).all()
     return _Iterate(
-        dus, side, following, problem.K, curvature, problem.ok, settled, iterate.count + 1
-    )
+        dxs, dus, slope, side, following, problem.K, curvature, problem.ok, problem.finite,
+        settled, iterate.count + 1, iterate.interior,
+    )  # fmt: skip

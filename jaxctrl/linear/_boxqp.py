@@ -6,24 +6,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from .._linalg import cholesky, cholesky_solve
+from .._linalg import solve_positive
 
 
 class BoxQP(NamedTuple):
-    """Outcome of `box_qp`: the minimiser, the free set with its factor, and whether it is one."""
+    """Outcome of `box_qp`: the minimiser, the free set, and whether it is one."""
 
     x: Float[Array, " n"]
     free: Bool[Array, " n"]
-    factor: Float[Array, "n n"]
     positive: Bool[Array, ""]
     finished: Bool[Array, ""]
     num_steps: Int[Array, ""]
-
-
-def free_factor(H: Float[Array, "n n"], free: Bool[Array, " n"]) -> tuple[Array, Array]:
-    """Factorise H on the free set, with the identity elsewhere; (n, n) and whether positive."""
-    both = free[:, None] & free[None, :]
-    return cholesky(jnp.where(both, H, jnp.eye(H.shape[0], dtype=H.dtype)))
 
 
 def _free_set(x, gradient, lower, upper):
@@ -50,8 +43,8 @@ def box_qp(
         g: shape (n,). lower, upper: shape (n,), infinite where there is no bound.
         max_steps: limit of the iteration.
 
-    Returns: `BoxQP`: x (n,), inside the box always; the free set (n,); the Cholesky factor of H on
-    it (n, n); whether H was positive definite there; whether it finished.
+    Returns: `BoxQP`: x (n,), inside the box always; the free set (n,); whether H was positive
+    definite there; whether it finished.
     """
     eps = jnp.finfo(H.dtype).eps
     halvings = 0.5 ** jnp.arange(8, dtype=H.dtype)
@@ -67,24 +60,25 @@ def box_qp(
         return gradient, free, jnp.all(rest <= 100 * eps * scale)
 
     def body(carry):
-        x, _, _, _, _, num = carry
+        x, _, _, _, num = carry
         gradient, free, finished = measure(x)
-        factor, positive = free_factor(H, free)
         residual = jnp.where(free, gradient, 0.0)
-        newton = -cholesky_solve(factor, residual[:, None])[:, 0]
+        on_free = jnp.where(free[:, None] & free, H, jnp.eye(g.size, dtype=H.dtype))
+        solved, positive = solve_positive(on_free, residual[:, None])
+        newton = -solved[:, 0]
         trials = jnp.clip(x + halvings[:, None] * newton, lower, upper)
         falls = jax.vmap(value)(trials) - value(x)
         enough = falls <= 0.1 * (trials - x) @ residual
         # Where no trial falls enough the quadratic is flat at round-off: the smallest step ends it.
         step = trials[jnp.where(enough.any(), jnp.argmax(enough), -1)]
         x = jnp.where(finished | ~positive, x, step)
-        return x, free, factor, positive, finished | ~enough.any(), num + 1
+        return x, free, positive, finished | ~enough.any(), num + 1
 
     def unfinished(carry):
-        _, _, _, positive, finished, num = carry
+        _, _, positive, finished, num = carry
         return positive & ~finished & (num < max_steps)
 
     start = jnp.clip(jnp.zeros_like(g), lower, upper)
     true, false = jnp.array(True), jnp.array(False)
-    carry = (start, true | (g == g), jnp.eye(g.size, dtype=H.dtype), true, false, jnp.array(0))
+    carry = (start, true | (g == g), true, false, jnp.array(0))
     return BoxQP(*jax.lax.while_loop(unfinished, body, carry))

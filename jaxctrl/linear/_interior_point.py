@@ -14,16 +14,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._types import LocalModel
-from ._riccati import costates, damp, factorise, lqr_rollout, solve_factorised
+from ._riccati import factorise, hessian_product, lqr_rollout, solve_factorised
 
 TO_BOUNDARY = 0.995
 """The fraction of the way to the nearest bound that a step may go."""
 
 
 class InteriorPoint(NamedTuple):
-    """Controls strictly inside the box, their multipliers, each (T, nu), and how good they are."""
+    """A point strictly inside the box, and how good it is.
 
+    States dxs (T+1, nx), controls dus, the gradient of the model there and the multipliers of both
+    bounds, each (T, nu).
+    """
+
+    dxs: Float[Array, "T+1 nx"]
     dus: Float[Array, "T nu"]
+    slope: Float[Array, "T nu"]
     lower_multiplier: Float[Array, "T nu"]
     upper_multiplier: Float[Array, "T nu"]
     settled: Bool[Array, ""]
@@ -31,49 +37,31 @@ class InteriorPoint(NamedTuple):
     count: Int[Array, ""]
 
 
-class _Box(NamedTuple):
-    """Bounds (T, nu), which of them exist, and which controls can move at all."""
+class Box(NamedTuple):
+    """A model with its gradient at zero and its damping, and the bounds, each (T, nu)."""
 
-    lower: Array
-    upper: Array
-    has_lower: Array
-    has_upper: Array
-    movable: Array
+    model: LocalModel
+    gradient: Float[Array, "T nu"]
+    damping: Float[Array, "T nu"]
+    lower: Float[Array, "T nu"]
+    upper: Float[Array, "T nu"]
 
+    def slope(self, dxs: Array, dus: Array) -> Array:
+        """Return the gradient of the damped model (T, nu) at dus (T, nu), which lead to dxs."""
+        return self.gradient + hessian_product(self.model, dxs, dus) + self.damping * dus
 
-def moved(model: LocalModel, dxs: Float[Array, "T+1 nx"], dus: Float[Array, "T nu"]) -> LocalModel:
-    """Return the model with its linear terms taken at dxs (T+1, nx), dus (T, nu)."""
-    dx = dxs[:-1]
-    return model._replace(
-        lx=model.lx
-        + jnp.einsum("tij,tj->ti", model.lxx, dx)
-        + jnp.einsum("tji,tj->ti", model.lux, dus),
-        lu=model.lu
-        + jnp.einsum("tij,tj->ti", model.lux, dx)
-        + jnp.einsum("tij,tj->ti", model.luu, dus),
-        vx=model.vx + model.vxx @ dxs[-1],
-    )
-
-
-def open_loop(model: LocalModel, dus: Float[Array, "T nu"]) -> Float[Array, "T+1 nx"]:
-    """Return the states (T+1, nx) of the linear model under controls dus (T, nu)."""
-    K = jnp.zeros((*dus.shape, model.vx.size), dus.dtype)
-    return lqr_rollout(model, dus, K, jnp.zeros_like(model.vx))[0]
+    def change(self, dus: Array, slope: Array) -> Array:
+        """Return the change of the damped model's cost at dus, where it has that slope."""
+        return 0.5 * jnp.sum((self.gradient + slope) * dus)
 
 
 def interior_point(
-    model: LocalModel,
-    lower: Float[Array, "T nu"],
-    upper: Float[Array, "T nu"],
-    scale: Float[Array, ""],
-    wanted: Bool[Array, ""],
-    max_sweeps: int = 30,
+    box: Box, scale: Float[Array, ""], wanted: Bool[Array, ""], max_sweeps: int = 30
 ) -> InteriorPoint:
-    """Minimise a local model's cost with all controls du in a box.
+    """Minimise a convex local model's cost with all controls du in a box.
 
     Arguments:
-        model: local expansion, damped as wanted, convex in du.
-        lower, upper: bounds on du, shape (T, nu), lower <= 0 <= upper, perhaps infinite or equal.
+        box: the model and the bounds on du, lower <= 0 <= upper, perhaps infinite or equal.
         scale: the size of a typical du, where a control has but one bound.
         wanted: False returns at once.
         max_sweeps: limit of the iteration.
@@ -81,87 +69,82 @@ def interior_point(
     Returns: `InteriorPoint`; `settled` when the duality gap is below eps^0.4 of the reduction of
     the model's cost, `ok` unless a sweep met a Hessian that is not positive definite.
     """
-    finite_lower, finite_upper = jnp.isfinite(lower), jnp.isfinite(upper)
-    movable = upper > lower
-    box = _Box(
-        jnp.where(finite_lower, lower, 0.0),
-        jnp.where(finite_upper, upper, 0.0),
-        finite_lower & movable,
-        finite_upper & movable,
-        movable,
-    )
-    width = jnp.where(finite_lower & finite_upper, box.upper - box.lower, scale)
-    inside = jnp.clip(0.0, lower + 0.1 * width, upper - 0.1 * width)
-    dus = jnp.where(movable, inside, box.lower)
-    slope = costates(moved(model, open_loop(model, dus), dus))[1]
+    lower, upper, has_lower, has_upper, movable = _sides(box)
+    width = jnp.where(jnp.isfinite(box.lower) & jnp.isfinite(box.upper), upper - lower, scale)
+    inside = jnp.clip(0.0, box.lower + 0.1 * width, box.upper - 0.1 * width)
+    dus = jnp.where(movable, inside, lower)
+    K = jnp.zeros((*dus.shape, box.model.vx.size), dus.dtype)
+    dxs, _ = lqr_rollout(box.model, dus, K, jnp.zeros_like(box.model.vx))
+    slope = box.slope(dxs, dus)
     typical = jnp.mean(jnp.abs(slope), axis=0) + jnp.finfo(slope.dtype).tiny
     start = InteriorPoint(
+        dxs,
         dus,
-        jnp.where(box.has_lower, jnp.maximum(slope, 0.0) + typical, 0.0),
-        jnp.where(box.has_upper, jnp.maximum(-slope, 0.0) + typical, 0.0),
-        ~wanted,
+        slope,
+        jnp.where(has_lower, jnp.maximum(slope, 0.0) + typical, 0.0),
+        jnp.where(has_upper, jnp.maximum(-slope, 0.0) + typical, 0.0),
+        jnp.array(False),
         jnp.array(True),
         jnp.array(0),
     )
 
     def unfinished(point: InteriorPoint):
-        return ~point.settled & point.ok & (point.count < max_sweeps)
+        return wanted & ~point.settled & point.ok & (point.count < max_sweeps)
 
-    return jax.lax.while_loop(unfinished, lambda point: _step(model, box, point), start)
+    return jax.lax.while_loop(unfinished, lambda point: _step(box, point), start)
 
 
-def _step(model: LocalModel, box: _Box, point: InteriorPoint) -> InteriorPoint:
+def _sides(box: Box) -> tuple[Array, ...]:
+    """Return the bounds, 0 where infinite, where they exist, and which controls can move."""
+    movable = box.upper > box.lower
+    finite_lower, finite_upper = jnp.isfinite(box.lower), jnp.isfinite(box.upper)
+    lower = jnp.where(finite_lower, box.lower, 0.0)
+    upper = jnp.where(finite_upper, box.upper, 0.0)
+    return lower, upper, finite_lower & movable, finite_upper & movable, movable
+
+
+def _step(box: Box, point: InteriorPoint) -> InteriorPoint:
     """Take one step of Mehrotra's predictor and corrector."""
-    dus, zL, zU = point[:3]
-    sL = jnp.where(box.has_lower, dus - box.lower, 1.0)
-    sU = jnp.where(box.has_upper, box.upper - dus, 1.0)
-    here = moved(model, open_loop(model, dus), dus)
-    problem = factorise(damp(here, zL / sL + zU / sU), box.movable)
+    dxs, dus, slope, zL, zU = point[:5]
+    lower, upper, has_lower, has_upper, movable = _sides(box)
+    sL = jnp.where(has_lower, dus - lower, 1.0)
+    sU = jnp.where(has_upper, upper - dus, 1.0)
+    problem = factorise(box.model, movable, box.damping + zL / sL + zU / sU)
 
     def solve(centre, across_lower, across_upper):
         """Solve for the step with products sL zL = centre - across_lower, and likewise above."""
-        to_lower = jnp.where(box.has_lower, (centre - across_lower) / sL, 0.0)
-        to_upper = jnp.where(box.has_upper, (centre - across_upper) / sU, 0.0)
-        k = solve_factorised(
-            problem, here.lu - to_lower + to_upper, jnp.zeros_like(dus), here.lx, here.vx
-        )
-        _, d = lqr_rollout(here, k, problem.K, jnp.zeros_like(here.vx))
-        return d, to_lower - zL - zL / sL * d, to_upper - zU + zU / sU * d
+        to_lower = jnp.where(has_lower, (centre - across_lower) / sL, 0.0)
+        to_upper = jnp.where(has_upper, (centre - across_upper) / sU, 0.0)
+        dx, d = solve_factorised(problem, slope - to_lower + to_upper, jnp.zeros_like(dus))
+        return dx, d, to_lower - zL - zL / sL * d, to_upper - zU + zU / sU * d
 
     def longest(d, dzL, dzU, fraction):
         """Return the longest step that keeps slacks and multipliers positive, at most 1."""
         rates = jnp.stack([-d / sL, d / sU, -dzL / zL, -dzU / zU])
-        there = jnp.stack([box.has_lower, box.has_upper] * 2)
+        there = jnp.stack([has_lower, has_upper] * 2)
         return 1.0 / jnp.maximum(1.0, jnp.max(jnp.where(there, rates, 0.0)) / fraction)
 
     def mean(d, dzL, dzU, fraction):
         """Return the mean product of slack and multiplier after a fraction of a step."""
-        low = (sL + fraction * d) * (zL + fraction * dzL) * box.has_lower
-        high = (sU - fraction * d) * (zU + fraction * dzU) * box.has_upper
-        return jnp.sum(low + high) / jnp.maximum(jnp.sum(box.has_lower) + jnp.sum(box.has_upper), 1)
+        low = (sL + fraction * d) * (zL + fraction * dzL) * has_lower
+        high = (sU - fraction * d) * (zU + fraction * dzU) * has_upper
+        return jnp.sum(low + high) / jnp.maximum(jnp.sum(has_lower) + jnp.sum(has_upper), 1)
 
-    affine = solve(0.0, 0.0, 0.0)
+    affine = solve(0.0, 0.0, 0.0)[1:]
     mu = mean(*affine, 0.0)
     centring = (mean(*affine, longest(*affine, 1.0)) / jnp.where(mu > 0, mu, 1.0)) ** 3
-    d, dzL, dzU = step = solve(centring * mu, affine[0] * affine[1], -affine[0] * affine[2])
-    fraction = longest(*step, TO_BOUNDARY)
-    good = problem.ok.all() & jnp.isfinite(d).all()
-    fraction = jnp.where(good, fraction, 0.0)
-    d, dzL, dzU = (jnp.where(good, part, 0.0) for part in step)
-    new = InteriorPoint(
-        dus + fraction * d, zL + fraction * dzL, zU + fraction * dzU, good, good, point.count + 1
+    step = solve(centring * mu, affine[0] * affine[1], -affine[0] * affine[2])
+    fraction = longest(*step[1:], TO_BOUNDARY)
+    good = problem.ok.all() & jnp.isfinite(step[1]).all()
+    old = (dxs, dus, zL, zU)
+    dxs, dus, zL, zU = (
+        jnp.where(good, a + fraction * b, a) for a, b in zip(old, step, strict=True)
     )
-    return new._replace(settled=_settled(model, box, new))
-
-
-def _settled(model: LocalModel, box: _Box, point: InteriorPoint) -> Bool[Array, ""]:
-    """Tell whether the duality gap and the residual are small beside the reduction of the cost."""
-    dus, zL, zU = point[:3]
-    dxs = open_loop(model, dus)
-    slope = costates(moved(model, dxs, dus))[1]
-    half = moved(model, 0.5 * dxs, 0.5 * dus)
-    change = jnp.sum(half.lx * dxs[:-1]) + jnp.sum(half.lu * dus) + half.vx @ dxs[-1]
-    gap = jnp.sum(jnp.where(box.has_lower, (dus - box.lower) * zL, 0.0))
-    gap += jnp.sum(jnp.where(box.has_upper, (box.upper - dus) * zU, 0.0))
-    residual = jnp.sum(jnp.abs(jnp.where(box.movable, (slope - zL + zU) * dus, 0.0)))
-    return gap + residual <= jnp.finfo(dus.dtype).eps ** 0.4 * jnp.abs(change)
+    slope = box.slope(dxs, dus)
+    gap = jnp.sum(jnp.where(has_lower, (dus - lower) * zL, 0.0))
+    gap += jnp.sum(jnp.where(has_upper, (upper - dus) * zU, 0.0))
+    residual = jnp.sum(jnp.abs(jnp.where(movable, (slope - zL + zU) * dus, 0.0)))
+    small = jnp.finfo(dus.dtype).eps ** 0.4 * jnp.abs(box.change(dus, slope))
+    return InteriorPoint(
+        dxs, dus, slope, zL, zU, good & (gap + residual <= small), good, point.count + 1
+    )

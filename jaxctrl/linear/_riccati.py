@@ -6,13 +6,14 @@
 
     k = -Q_uu^-1 Q_u,  K = -Q_uu^-1 Q_ux
 
-    V_x  <- l_x + l_ux'k + K'(l_u + l_uu k) + F'(V_x + V_xx f_u k),     F = f_x + f_u K
-    V_xx <- l_xx + l_ux'K + K'l_ux + K'l_uu K + F'V_xx F
-
-The last two lines hold for any k and K. They are Joseph's form: it subtracts no large numbers,
-where Q_xx - Q_ux'Q_uu^-1 Q_ux would lose V_xx to round-off, and needs as many products.
+    V_x  <- Q_x + Q_ux'k + K'(Q_u + Q_uu k)
+    V_xx <- Q_xx + K'Q_ux
 
 Damping d >= 0 adds sum_ki d_ki du_ki^2 / 2 to the model (Levenberg and Marquardt).
+
+In float32 the last line is Joseph's form, l_xx + l_ux'K + K'l_ux + K'l_uu K + F'V_xx F with
+F = f_x + f_u K: it subtracts no large numbers, where the form above would lose V_xx to round-off,
+and takes a third longer.
 
 Li (2006), eq. 4.12-4.18 (Theorem 1) is its special case l_xx = Q, l_uu = R, l_x = Q x, l_u = R u.
 """
@@ -23,29 +24,29 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from .._linalg import cholesky, cholesky_solve, symmetrise
+from .._linalg import matmul, solve_positive, symmetrise
 from .._types import LocalModel
-from ._boxqp import free_factor
 
 
 class Sweep(NamedTuple):
     """A law du = k + K dx, and what it promises.
 
-    A step of length a along it changes the model's cost, without the damping, by
-    a `linear` + a^2 `quadratic`. `free` tells which controls are not held at a bound, `curvature`
-    is the diagonal of each Q_uu, without the damping. `ok` tells whether every Q_uu was positive
-    definite; where it was not, `failed` is the last such step of time. `settled` tells whether
-    the set of controls at bounds was found.
+    A step of length a along it changes the damped model's cost by a `linear` + a^2 `quadratic`.
+    `gradient` is that of the total cost in the controls, `curvature` the diagonal of each Q_uu less
+    the step's own damping. `ok` tells whether every Q_uu was positive definite; where it was not, `failed` is the last such step of time.
+    `nonfinite` is the last step of time at which something was not finite, T for the last state;
+    -1 where all was. `settled` tells whether the set of controls at bounds was found.
     """
 
     k: Float[Array, "T nu"]
     K: Float[Array, "T nu nx"]
-    free: Bool[Array, "T nu"]
+    gradient: Float[Array, "T nu"]
     curvature: Float[Array, "T nu"]
     linear: Float[Array, ""]
     quadratic: Float[Array, ""]
     ok: Bool[Array, ""]
     failed: Int[Array, ""]
+    nonfinite: Int[Array, ""]
     settled: Bool[Array, ""]
 
 
@@ -60,23 +61,17 @@ def costates(model: LocalModel) -> tuple[Float[Array, "T nx"], Float[Array, "T n
 
     def body(p, stage):
         fx, fu, lx, lu = stage
-        return lx + fx.T @ p, (p, lu + fu.T @ p)
+        return lx + matmul(fx.T, p), (p, lu + matmul(fu.T, p))
 
     stages = (model.fx, model.fu, model.lx, model.lu)
     _, (p, gradient) = jax.lax.scan(body, model.vx, stages, reverse=True)
     return p, gradient
 
 
-def damp(model: LocalModel, damping: ArrayLike) -> LocalModel:
-    """Return the model with damping, a scalar or (T, nu), added to the diagonal of each l_uu."""
-    damping = jnp.broadcast_to(damping, model.lu.shape)
-    return model._replace(luu=model.luu + jax.vmap(jnp.diag)(damping))
-
-
-def last_failure(ok: Bool[Array, " T"]) -> Int[Array, ""]:
-    """Return the last step that is not ok, or -1."""
-    last = ok.size - 1 - jnp.argmax(~ok[::-1])
-    return jnp.where(ok.all(), -1, last).astype(jnp.int32)
+def last_true(flags: Bool[Array, " n"]) -> Int[Array, ""]:
+    """Return the last index at which a flag is set, or -1."""
+    last = flags.size - 1 - jnp.argmax(flags[::-1])
+    return jnp.where(flags.any(), last, -1).astype(jnp.int32)
 
 
 def lqr(model: LocalModel, damping: ArrayLike = 0.0) -> Sweep:
@@ -88,51 +83,67 @@ def lqr(model: LocalModel, damping: ArrayLike = 0.0) -> Sweep:
 
     Returns: `Sweep`.
     """
+    damping = jnp.broadcast_to(damping, model.lu.shape)
 
-    def body(V, stage):
-        Vx, Vxx = V
-        fx, fu, lx, lu, lxx, lux, luu = stage
-        VB = Vxx @ fu
-        Qu, Qux = lu + fu.T @ Vx, lux + VB.T @ fx
-        Quu = symmetrise(luu + fu.T @ VB)
-        factor, ok = cholesky(Quu)
-        solved = -cholesky_solve(factor, jnp.concatenate([Qu[:, None], Qux], axis=1))
-        solved = jnp.where(ok, solved, 0.0)
+    def body(carry, stage):
+        Vx, Vxx, s, p, linear, change = carry
+        fx, fu, lx, lu, lxx, lux, luu, d = stage
+        luu = _add_diagonal(luu, d)
+        Qxx, Qux, Quu = _quadratic(Vxx, fx, fu, lxx, lux, luu)
+        Qu, Su, gradient = (lu + matmul(fu.T, v) for v in (Vx, s, p))
+        rhs = jnp.concatenate([Qu[:, None], Qux], axis=1)
+        solved, ok = solve_positive(Quu, rhs)
+        solved = jnp.where(ok, -solved, 0.0)
         k, K = solved[:, 0], solved[:, 1:]
-        F = fx + fu @ K
-        Vx = lx + lux.T @ k + K.T @ (lu + luu @ k) + F.T @ (Vx + VB @ k)
-        Vxx = _closed_loop(Vxx, F, K, lxx, lux, luu)
-        return (Vx, Vxx), (k, K, jnp.diagonal(Quu), ok)
+        after = matmul(Quu, k)
+        # s is the gradient in the state under the law without k, p that without any law.
+        new = (
+            lx + matmul(fx.T, Vx) + matmul(Qux.T, k) + matmul(K.T, Qu + after),
+            _value(Vxx, Qxx, Qux, K, (fx, fu, lxx, lux, luu)),
+            lx + matmul(fx.T, s) + matmul(K.T, Su),
+            lx + matmul(fx.T, p),
+            linear + jnp.sum(k * Su),
+            change + jnp.sum(k * (Qu + 0.5 * after)),
+        )
+        finite = jnp.isfinite(jnp.sum(new[0]) + jnp.trace(new[1]))
+        return new, (k, K, gradient, jnp.diagonal(Quu) - d, ok, finite)
 
-    damped = damp(model, damping)
-    _, (k, K, curvature, ok) = jax.lax.scan(body, (model.vx, model.vxx), damped[:-2], reverse=True)
-    linear, quadratic, _ = model_change(model, k, K)
-    free = jnp.ones(k.shape, bool)
-    curvature = curvature - jnp.broadcast_to(damping, curvature.shape)
-    settled = jnp.array(True)
-    return Sweep(k, K, free, curvature, linear, quadratic, ok.all(), last_failure(ok), settled)
+    zero = jnp.zeros((), model.vx.dtype)
+    start = (model.vx, model.vxx, model.vx, model.vx, zero, zero)
+    end, out = jax.lax.scan(body, start, (*model[:-2], damping), reverse=True)
+    k, K, gradient, curvature, ok, finite = out
+    linear, change = end[-2:]
+    return Sweep(
+        k, K, gradient, curvature, linear, change - linear,
+        ok.all(), last_true(~ok), nonfinite(model, finite), jnp.array(True),
+    )  # fmt: skip
 
 
-def _closed_loop(Vxx: Array, F: Array, K: Array, lxx: Array, lux: Array, luu: Array) -> Array:
-    """Return the V_xx before a step whose closed loop is dx -> F dx, in Joseph's form."""
-    across = lux.T @ K
-    return symmetrise(lxx + across + across.T + K.T @ luu @ K + F.T @ Vxx @ F)
+def nonfinite(model: LocalModel, finite: Bool[Array, " T"]) -> Int[Array, ""]:
+    last = jnp.isfinite(model.vx).all() & jnp.isfinite(model.vxx).all()
+    return last_true(~jnp.append(finite, last))
 
 
-def model_change(model: LocalModel, k: Array, K: Array) -> tuple[Array, Array, Array]:
-    """Roll the law du = k + K dx out on the model.
+def _add_diagonal(A: Array, d: Array) -> Array:
+    index = jnp.arange(d.size)
+    return A + jnp.where(index[:, None] == index, d, 0.0)
 
-    Returns: the linear and the quadratic part of the change of the model's cost, and du (T, nu).
-    """
-    dxs, dus = lqr_rollout(model, k, K, jnp.zeros_like(model.vx))
-    dx = dxs[:-1]
-    linear = jnp.sum(model.lx * dx) + jnp.sum(model.lu * dus) + model.vx @ dxs[-1]
-    quadratic = 0.5 * dxs[-1] @ model.vxx @ dxs[-1] + (
-        0.5 * jnp.einsum("ti,tij,tj", dx, model.lxx, dx)
-        + jnp.einsum("ti,tij,tj", dus, model.lux, dx)
-        + 0.5 * jnp.einsum("ti,tij,tj", dus, model.luu, dus)
-    )
-    return linear, quadratic, dus
+
+def _quadratic(Vxx, fx, fu, lxx, lux, luu) -> tuple[Array, Array, Array]:
+    """Return Q_xx, Q_ux and Q_uu."""
+    VA, VB = matmul(Vxx, fx), matmul(Vxx, fu)
+    Quu = symmetrise(luu + matmul(fu.T, VB))
+    return lxx + matmul(fx.T, VA), lux + matmul(fu.T, VA), Quu
+
+
+def _value(Vxx, Qxx, Qux, K, stage) -> Array:
+    """Return the V_xx before a step with gains K."""
+    if Vxx.dtype == jnp.float64:
+        return symmetrise(Qxx + matmul(K.T, Qux))
+    fx, fu, lxx, lux, luu = stage
+    F = fx + matmul(fu, K)
+    across = matmul(K.T, lux + 0.5 * matmul(luu, K))
+    return symmetrise(lxx + 2 * across + matmul(F.T, matmul(Vxx, F)))
 
 
 class FreeLQR(NamedTuple):
@@ -140,46 +151,58 @@ class FreeLQR(NamedTuple):
 
     model: LocalModel
     free: Bool[Array, "T nu"]
-    VB: Float[Array, "T nx nu"]
+    Vxx: Float[Array, "T nx nx"]
+    Qux: Float[Array, "T nu nx"]
     Quu: Float[Array, "T nu nu"]
-    factor: Float[Array, "T nu nu"]
+    inverse: Float[Array, "T nu nu"]
     K: Float[Array, "T nu nx"]
     ok: Bool[Array, " T"]
+    finite: Bool[Array, " T"]
 
 
-def factorise(model: LocalModel, free: Bool[Array, "T nu"]) -> FreeLQR:
+def factorise(model: LocalModel, free: Bool[Array, "T nu"], damping: ArrayLike = 0.0) -> FreeLQR:
     """Do the part of a sweep that depends on neither linear terms nor held controls.
 
     Arguments:
         model: local expansion; its linear terms are not used.
         free: which controls may move, shape (T, nu).
+        damping: as in `lqr`.
 
     Returns: `FreeLQR`, for `solve_factorised`; `ok` (T,) tells at which steps the problem is
     strictly convex in the free controls; elsewhere the gains are zero.
     """
+    damping = jnp.broadcast_to(damping, model.lu.shape)
+    nu = model.lu.shape[1]
+    identity = jnp.eye(nu, dtype=model.lu.dtype)
 
     def body(Vxx, stage):
-        fx, fu, lxx, lux, luu, free = stage
-        VB = Vxx @ fu
-        Quu, Qux = symmetrise(luu + fu.T @ VB), lux + VB.T @ fx
-        factor, ok = free_factor(Quu, free)
-        K = -cholesky_solve(factor, jnp.where(free[:, None] & ok, Qux, 0.0))
-        Vxx = _closed_loop(Vxx, fx + fu @ K, K, lxx, lux, luu)
-        return Vxx, (VB, Quu, factor, K, ok)
+        fx, fu, lxx, lux, luu, d, free = stage
+        luu = _add_diagonal(luu, d)
+        Qxx, Qux, Quu = _quadratic(Vxx, fx, fu, lxx, lux, luu)
+        both = free[:, None] & free[None, :]
+        rhs = jnp.where(free[:, None], jnp.concatenate([identity, -Qux], axis=1), 0.0)
+        solved, ok = solve_positive(jnp.where(both, Quu, identity), rhs)
+        solved = jnp.where(ok, solved, 0.0)
+        inverse, K = solved[:, :nu], solved[:, nu:]
+        before = _value(Vxx, Qxx, Qux, K, (fx, fu, lxx, lux, luu))
+        finite = jnp.isfinite(jnp.trace(before))
+        return before, (Vxx, Qux, Quu, inverse, K, ok, finite)
 
-    stages = (model.fx, model.fu, model.lxx, model.lux, model.luu, free)
-    _, (VB, Quu, factor, K, ok) = jax.lax.scan(body, model.vxx, stages, reverse=True)
-    return FreeLQR(model, free, VB, Quu, factor, K, ok)
+    stages = (model.fx, model.fu, model.lxx, model.lux, model.luu, damping, free)
+    return FreeLQR(model, free, *jax.lax.scan(body, model.vxx, stages, reverse=True)[1])
 
 
 def solve_factorised(
     problem: FreeLQR,
     linear: Float[Array, "T nu"],
     held: Float[Array, "T nu"],
+    *,
     lx: Float[Array, "T nx"] | None = None,
     vx: Float[Array, " nx"] | None = None,
-) -> Float[Array, "T nu"]:
-    """Return the k (T, nu) of the law du = k + K dx that solves a factorised problem.
+    offset: Float[Array, "T nx"] | None = None,
+    dx0: Float[Array, " nx"] | None = None,
+) -> tuple[Float[Array, "T+1 nx"], Float[Array, "T nu"]]:
+    """Solve a factorised problem for the states dxs (T+1, nx) and the controls dus (T, nu).
 
     Linear in every argument but the first, and transposable.
 
@@ -188,22 +211,30 @@ def solve_factorised(
         linear: linear terms of the controls, shape (T, nu).
         held: the values of the controls that are not free, shape (T, nu).
         lx, vx: linear terms of the states, (T, nx), and of the last state, (nx,); zero by default.
+        offset, dx0: what is added to the dynamics, (T, nx), and the first state, (nx,); zero by
+            default.
     """
-    m, free = problem.model, problem.free
-    lx = jnp.zeros_like(m.lx) if lx is None else lx
-    vx = jnp.zeros_like(m.vx) if vx is None else vx
-    held = jnp.where(free, 0.0, held)
+    m, p = problem.model, problem
+    nx = m.vx.size
+    zero = jnp.zeros((), m.vx.dtype)
+    held = jnp.where(p.free, 0.0, held)
+    given = [zero if a is None else a for a in (lx, vx, offset, dx0)]
+    shapes = (m.lx.shape, (nx,), m.lx.shape, (nx,))
+    lx, vx, offset, dx0 = (jnp.broadcast_to(a, s) for a, s in zip(given, shapes, strict=True))
 
     def back(Vx, stage):
-        fx, fu, lx, b, lux, luu, VB, Quu, factor, K, free, held = stage
-        rhs = jnp.where(free, b + fu.T @ Vx + Quu @ held, 0.0)
-        k = held - cholesky_solve(factor, rhs[:, None])[:, 0]
-        F = fx + fu @ K
-        return lx + lux.T @ k + K.T @ (b + luu @ k) + F.T @ (Vx + VB @ k), k
+        fx, fu, lx, b, c, Vxx, Qux, Quu, inverse, K, free, held = stage
+        ahead = Vx + matmul(Vxx, c)
+        rhs = b + matmul(fu.T, ahead)
+        k = held - matmul(inverse, jnp.where(free, rhs + matmul(Quu, held), 0.0))
+        before = lx + matmul(fx.T, ahead) + matmul(Qux.T, k)
+        return before + matmul(K.T, rhs + matmul(Quu, k)), k
 
-    p = problem
-    stages = (m.fx, m.fu, lx, linear, m.lux, m.luu, p.VB, p.Quu, p.factor, p.K, free, held)
-    return jax.lax.scan(back, vx, stages, reverse=True)[1]
+    stages = (
+        m.fx, m.fu, lx, linear, offset, p.Vxx, p.Qux, p.Quu, p.inverse, p.K, p.free, held
+    )  # fmt: skip
+    k = jax.lax.scan(back, vx, stages, reverse=True)[1]
+    return lqr_rollout(m, k, p.K, dx0, offset)
 
 
 def lqr_rollout(
@@ -211,14 +242,36 @@ def lqr_rollout(
     k: Float[Array, "T nu"],
     K: Float[Array, "T nu nx"],
     dx0: Float[Array, " nx"],
+    offset: Float[Array, "T nx"] | None = None,
 ) -> tuple[Float[Array, "T+1 nx"], Float[Array, "T nu"]]:
-    """Return dxs (T+1, nx) and dus (T, nu) of the law du = k + K dx on the linear model."""
+    """Return dxs (T+1, nx) and dus (T, nu) of the law du = k + K dx on the linear model.
+
+    `offset` (T, nx), zero by default, is added to its dynamics.
+    """
+    offset = jnp.zeros_like(model.lx) if offset is None else offset
 
     def body(dx, stage):
-        fx, fu, k, K = stage
-        du = k + K @ dx
-        after = fx @ dx + fu @ du
+        fx, fu, k, K, c = stage
+        du = k + matmul(K, dx)
+        after = matmul(fx, dx) + matmul(fu, du) + c
         return after, (after, du)
 
-    _, (dxs, dus) = jax.lax.scan(body, dx0, (model.fx, model.fu, k, K))
+    _, (dxs, dus) = jax.lax.scan(body, dx0, (model.fx, model.fu, k, K, offset))
     return jnp.concatenate([dx0[None], dxs]), dus
+
+
+def hessian_product(
+    model: LocalModel, dxs: Float[Array, "T+1 nx"], dus: Float[Array, "T nu"]
+) -> Float[Array, "T nu"]:
+    """Return the Hessian of the model's cost in the controls times dus (T, nu).
+
+    Arguments: model; dxs (T+1, nx), the states that dus lead to on it from dx0 = 0.
+    """
+
+    def body(p, stage):
+        fx, fu, lxx, lux, luu, dx, du = stage
+        before = matmul(lxx, dx) + matmul(lux.T, du) + matmul(fx.T, p)
+        return before, matmul(lux, dx) + matmul(luu, du) + matmul(fu.T, p)
+
+    stages = (model.fx, model.fu, model.lxx, model.lux, model.luu, dxs[:-1], dus)
+    return jax.lax.scan(body, matmul(model.vxx, dxs[-1]), stages, reverse=True)[1]

@@ -67,6 +67,11 @@ def control_of_rate(
     return (a + rate * deactivation_time) / (1 + growth * (deactivation_time - activation_time))
 
 
+def _power(x, y):
+    """Return x^y for x > 0: half the time of `x**y`, and the derivatives need no more powers."""
+    return jnp.exp(y * jnp.log(x))
+
+
 def active_state(a: Float[Array, "*n"], l: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Return the active state A(a, l), a fraction between 0 and 1, for activation a and length l.
 
@@ -76,7 +81,7 @@ def active_state(a: Float[Array, "*n"], l: Float[Array, "*n"]) -> Float[Array, "
     """
     exponent = 2.11 + 4.16 * (1 / l - 1)
     a = jnp.where(a > SMALLEST_ACTIVATION, a, SMALLEST_ACTIVATION)
-    return -jnp.expm1(-((a / (0.56 * exponent)) ** exponent))
+    return -jnp.expm1(-_power(a / (0.56 * exponent), exponent))
 
 
 def force_length(l: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -84,9 +89,9 @@ def force_length(l: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
     F_L = exp(-|(l^1.93 - 1)/1.03|^1.87)        (Brown, Cheng & Loeb 1999; Li & Todorov 2004)
     """
-    distance = jnp.abs((l**1.93 - 1) / 1.03)
+    distance = jnp.abs((_power(l, 1.93) - 1) / 1.03)
     at_optimum = distance == 0
-    power = jnp.where(at_optimum, 1, distance) ** 1.87
+    power = _power(jnp.where(at_optimum, 1, distance), 1.87)
     return jnp.exp(-jnp.where(at_optimum, 0, power))
 
 

@@ -7,8 +7,15 @@ With A the set of controls at a bound and F the others, differentiating r = 0 gi
     du_A = dbound_A,     H_FF du_F = -(dg/dp dp)_F - H_FA du_A,
 
 with H the exact Hessian of the cost in the controls, the dynamics' second derivatives included:
-Gauss and Newton's would be wrong wherever the optimal cost is not zero. H has the structure of a
-linear-quadratic problem, so that one Riccati sweep solves the system.
+Gauss and Newton's would be wrong wherever the optimal cost is not zero. With the Lagrangian
+L_k = l_k + p_{k+1}'f_k of each step, p the costates, this is one linear-quadratic problem,
+
+    minimise   sum_k z_k'(L_zz)_k z_k / 2 + z_k'(dL_z)_k + x_T'v_xx x_T / 2 + x_T'dv_x,
+    dx_{k+1} = f_x dx_k + f_u du_k + (df)_k,
+
+where (dL_z), (dv_x) and (df) are the changes with p along the fixed trajectory: all local in time.
+Its solution, one Riccati sweep, is the derivative of the states and of the controls. That of the
+cost needs no sweep (the envelope theorem): sum_k (dL)_k + dv + p_0'dx0 + g_A'dbound_A.
 """
 
 import equinox as eqx
@@ -16,24 +23,89 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .._local_model import expand
+from .._local_model import expand, stage_lagrangian
 from .._problem import Problem
-from ..linear import factorise, lqr_rollout, solve_factorised
+from ..linear import costates, factorise, solve_factorised
 
-
-def _gradient(problem: Problem, x0: Array, us: Array) -> Array:
-    """Return dJ/du, shape (T, nu), of the cost as a function of the controls alone."""
-    return jax.grad(lambda us: problem.total_cost(problem.rollout(x0, us), us))(us)
+Found = tuple[Array, Array, Array]
 
 
 @eqx.filter_custom_jvp
-def attach(us: Array, problem: Problem, x0: Array, converged: Array) -> Array:
-    """Return the optimal controls us (T, nu), differentiable in the problem and in x0 (nx,).
+def attach(found: Found, problem: Problem, x0: Array, ok: Array) -> Found:
+    """Return an optimum, found = (xs (T+1, nx), us (T, nu), cost ()), with its derivatives.
 
-    `us` itself is taken as found: the optimum does not depend on how it was reached. Where
-    `converged` is False, derivatives are NaN.
+    Differentiable in the problem and in x0 (nx,); `found` itself is taken as it is: the optimum
+    does not depend on how it was reached. Where `ok` is False all derivatives are NaN, except
+    that a zero cotangent gives zero. To first order `found` need only be near the optimum; second
+    derivatives follow by differentiating the rule, in which the optimum is again a function of p.
     """
-    return us
+    return found
+
+
+@attach.def_jvp
+def _attach_jvp(primals, tangents):
+    found, problem, x0, ok = primals
+    _, t_problem, t_x0, _ = tangents
+    found = attach(found, problem, x0, ok)
+    # What is not finite in a failed lane must not reach the others, multiplied by zero.
+    xs, us, problem = _tame((found[0], found[1], problem), ok)
+    arrays, static = eqx.partition(problem, eqx.is_inexact_array)
+    t_arrays, t_x0 = _instantiate(arrays, t_problem), _instantiate(x0, t_x0)
+    alarm = sum(jnp.sum(_nan_unless(ok, t)) for t in jax.tree.leaves((t_arrays, t_x0)))
+
+    model = expand(problem, xs, us, second_order=True)
+    p, gradient = costates(model)
+
+    def local(arrays):
+        problem = eqx.combine(arrays, static)
+        along = problem.replay(xs, us)
+        value, slopes = stage_lagrangian(problem, xs, us, p)
+        return along, value, slopes, problem.bounds
+
+    _, (offset, value, (lx, lu, vx), t_bounds) = jax.jvp(local, (arrays,), (t_arrays,))
+    free, held = _held(problem, us, gradient, t_bounds)
+    system = factorise(model, free)
+    t_xs, t_us = solve_factorised(system, lu, held, lx=lx, vx=vx, offset=offset, dx0=t_x0)
+    start = model.lx[0] + model.fx[0].T @ p[0]
+    t_cost = value + start @ t_x0 + jnp.sum(jnp.where(free, 0.0, gradient * held))
+    fine = ok & system.ok.all()
+    alarm_of_saddle = sum(jnp.sum(_nan_unless(fine, t)) for t in jax.tree.leaves((t_arrays, t_x0)))
+    return found, (
+        t_xs + _nan_unless(fine, t_xs) + alarm_of_saddle,
+        t_us + _nan_unless(fine, t_us) + alarm_of_saddle,
+        t_cost + _nan_unless(ok, t_cost) + alarm,
+    )
+
+
+def _held(problem: Problem, us: Array, gradient: Array, t_bounds) -> tuple[Array, Array]:
+    """Return which controls are free and how the others move with their bounds, each (T, nu)."""
+    if problem.bounds is None:
+        return jnp.ones(us.shape, bool), jnp.zeros_like(us)
+    lower, upper = problem.bounds
+    at_lower, at_upper = (us <= lower) & (gradient >= 0), (us >= upper) & (gradient <= 0)
+    held = jnp.where(at_lower, t_bounds[0], jnp.where(at_upper, t_bounds[1], 0.0))
+    return ~(at_lower | at_upper), held
+
+
+def _nan_unless(ok: Array, tangent: Array) -> Array:
+    """Return zeros where `ok`; else NaN, but zero for a zero tangent. Linear, and transposed so.
+
+    inf - inf is NaN and 0 - 0 is 0; a product with NaN would turn a zero cotangent into NaN.
+    """
+    huge = jnp.where(ok, 0.0, jnp.finfo(tangent.dtype).max).astype(tangent.dtype)
+    infinite = tangent * huge * huge * huge
+    return infinite - infinite
+
+
+def _tame(tree, ok: Array):
+    """Replace what is not finite by 1 unless `ok`."""
+
+    def tame(leaf):
+        if not eqx.is_inexact_array(leaf):
+            return leaf
+        return jnp.where(ok | jnp.isfinite(leaf), leaf, jnp.ones((), leaf.dtype))
+
+    return jax.tree.map(tame, tree)
 
 
 def _instantiate(tree, tangents):
@@ -46,34 +118,3 @@ def _instantiate(tree, tangents):
 
     arrays = eqx.filter(tree, eqx.is_inexact_array)
     return jax.tree.map(instantiate, arrays, tangents, is_leaf=lambda leaf: leaf is None)
-
-
-@attach.def_jvp
-def _attach_jvp(primals, tangents):
-    us, problem, x0, converged = primals
-    _, t_problem, t_x0, _ = tangents
-    us = attach(us, problem, x0, converged)
-    arrays, static = eqx.partition((problem, x0), eqx.is_inexact_array)
-    t_arrays = _instantiate((problem, x0), (t_problem, t_x0))
-
-    def gradient(arrays):
-        problem, x0 = eqx.combine(arrays, static)
-        return _gradient(problem, x0, us)
-
-    def bounds(arrays):
-        problem, _ = eqx.combine(arrays, static)
-        return problem.bounds
-
-    g, t_gradient = jax.jvp(gradient, (arrays,), (t_arrays,))
-    if problem.bounds is None:
-        free, held = jnp.ones(us.shape, bool), jnp.zeros_like(us)
-    else:
-        (lower, upper), (t_lower, t_upper) = jax.jvp(bounds, (arrays,), (t_arrays,))
-        at_lower, at_upper = (us <= lower) & (g >= 0), (us >= upper) & (g <= 0)
-        free = ~(at_lower | at_upper)
-        held = jnp.where(at_lower, t_lower, jnp.where(at_upper, t_upper, 0.0))
-    model = expand(problem, problem.rollout(x0, us), us, second_order=True)
-    system = factorise(model, free)
-    k = solve_factorised(system, t_gradient, held)
-    _, t_us = lqr_rollout(system.model, k, system.K, jnp.zeros_like(x0))
-    return us, t_us * jnp.where(converged & system.ok.all(), 1.0, jnp.nan)

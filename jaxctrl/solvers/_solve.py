@@ -60,7 +60,7 @@ def solve(
     problem, start, controls = promote((problem, start, controls))
     _check_finite(problem)
     _warn(problem, solver, start.dtype)
-    solution = _solve(problem, solver, start, controls, max_steps)
+    solution = run(problem, solver, start, controls, max_steps)
     return _throw(solution) if throw else solution
 
 
@@ -144,16 +144,17 @@ def _advice(error: Exception) -> str:
 
 
 @eqx.filter_jit
-def _solve(problem: Problem, solver: AbstractSolver, x0, us, max_steps: int) -> Solution:
+def run(problem: Problem, solver: AbstractSolver, x0, us, max_steps: int) -> Solution:
+    """Solve a problem whose arguments have been checked."""
     _check_functions(problem, x0, us)
     frozen, x0_frozen, us = jax.lax.stop_gradient((problem, x0, us))
     state, history, count = _iterate(frozen, solver, x0_frozen, us, max_steps)
     status = _final_status(solver, state)
     failed = status.code >= int(Reason.NONFINITE_INPUT)
     found = solver.policy(frozen, state)
-    us = attach(found.us, problem, x0, status.ok)
-    xs = jnp.where(failed, _last_finite(found.xs), problem.rollout(x0, us))
-    cost = jnp.where(failed, state.cost, problem.total_cost(xs, us))
+    xs = jnp.where(failed, _last_finite(found.xs), found.xs)
+    record = solver.record(state)
+    xs, us, cost = attach((xs, found.us, record.cost), problem, x0, status.ok)
     return Solution(
         xs=xs,
         us=us,
@@ -161,7 +162,7 @@ def _solve(problem: Problem, solver: AbstractSolver, x0, us, max_steps: int) -> 
         expected_cost=cost,
         policy=AffinePolicy(xs, us, found.k, found.K, problem.bounds),
         status=status,
-        gradient=solver.record(state).gradient,
+        gradient=record.gradient,
         history=history,
         num_steps=count,
     )

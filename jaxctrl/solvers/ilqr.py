@@ -1,15 +1,13 @@
 """The iterative linear-quadratic regulator, with bounds on the controls."""
 
+from typing import ClassVar
+
 import equinox as eqx
-import jax.numpy as jnp
 
-from .._controller import AffinePolicy
-from .._local_model import expand
-from . import shooting
-from ._abstract import AbstractSolver, Record
+from .shooting import AbstractShooting
 
 
-class ILQR(AbstractSolver):
+class ILQR(AbstractShooting):
     """Minimise the nominal cost by Gauss-Newton steps, each a linear-quadratic problem.
 
     Around the present trajectory the dynamics are expanded to first order and the cost to second;
@@ -19,6 +17,8 @@ class ILQR(AbstractSolver):
     relative to the curvature, so that neither the unit of the cost nor those of the controls
     matter; noise is ignored.
 
+    Near the optimum the gradient falls by a constant factor each iteration; `DDP` squares it.
+
     Arguments:
         gradient_tolerance, cost_tolerance, step_tolerance: see `jaxctrl.Tolerances`; the defaults
             scale with the dtype's eps. An iterate has converged when its projected gradient is
@@ -26,42 +26,7 @@ class ILQR(AbstractSolver):
             within its own.
     """
 
+    second_order: ClassVar[bool] = False
     gradient_tolerance: float | None = eqx.field(static=True, default=None)
     cost_tolerance: float | None = eqx.field(static=True, default=None)
     step_tolerance: float | None = eqx.field(static=True, default=None)
-
-    @property
-    def tolerances(self) -> shooting.Tolerances:
-        """The three tolerances together."""
-        return shooting.Tolerances(
-            self.gradient_tolerance, self.cost_tolerance, self.step_tolerance
-        )
-
-    def init(self, problem, x0, us):
-        """Roll out us (T, nu) from x0 (nx,)."""
-        return shooting.init(problem, x0, us)
-
-    def step(self, problem, state):
-        """Search along the law, then expand and sweep anew; arrays keep their shapes."""
-        return shooting.step(problem, state, expand, self.tolerances)
-
-    def status(self, state):
-        """Return why the iteration ends, or `RUNNING`; shape ()."""
-        return state.status
-
-    def record(self, state):
-        """Return cost, projected gradient, accepted fraction and lambda, each of shape ()."""
-        return Record(state.cost, state.gradient, state.fraction, state.lam)
-
-    def near(self, state):
-        """Tell whether the gradient is within 100 times its tolerance, shape ()."""
-        return state.gradient <= 100 * self.tolerances.resolve(state.cost.dtype)[0]
-
-    def policy(self, problem, state):
-        """Return the last gains around the last trajectory, xs (T+1, nx) and us (T, nu).
-
-        Without noise the policy reproduces that trajectory: the step that the sweep would take
-        next is not part of it.
-        """
-        k = jnp.zeros_like(state.us)
-        return AffinePolicy(state.xs, state.us, k, state.sweep.K, problem.bounds)

@@ -1,24 +1,26 @@
 """The iteration that ILQR shares with its relatives: expand, sweep, search along the law."""
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import _status
-from .._controller import clip
+from .._controller import AffinePolicy, clip
+from .._local_model import expand
 from .._problem import Problem
 from .._status import Reason, Status, first_nonfinite
 from .._types import Bounds, LocalModel
-from ..linear import Sweep, box_lqr, costates, lqr, pushed
-from .line_search import Trial, backtrack
+from ..linear import Sweep, box_lqr, lqr
+from ._abstract import AbstractSolver, Record
+from .line_search import Trial, search
 
 LAM_FIRST, LAM_MIN, LAM_MAX = 1e-6, 1e-9, 1e10
 LAM_FACTOR = 1.6
 LAM_SURE = 1e-3
 LONG, SHORT = 0.5, 0.07
+NEAR = 1.0
+"""The projected gradient at which the exact second order, where wanted, replaces Gauss-Newton's."""
 
 
 class Tolerances(eqx.Module):
@@ -49,18 +51,19 @@ class Tolerances(eqx.Module):
 
 
 class ShootingState(eqx.Module):
-    """An iterate with its expansion, its law and what is known of its quality.
+    """An iterate with the law computed there and what is known of its quality.
 
     Attributes:
         xs, us, cost: the trajectory, (T+1, nx) and (T, nu), and its cost.
         start_cost: the cost at the very start, the floor of the scale of costs.
-        model, sweep: the expansion there and the law computed from it.
-        side: which controls the law holds at a bound: -1 lower, 1 upper, 0 free.
+        sweep: the law computed from the expansion there.
+        side: which controls the law holds at a bound: -1 lower, 1 upper, 0 free, NaN unknown.
         measured: whether these have been computed at all.
         gradient: the relative projected gradient.
         round_off: what of a change of the cost is lost in rounding.
         lam, factor: relative regularisation and the factor by which it last changed.
         fraction: of the last law, by which the iterate was reached; 0 when it was rejected.
+        second: whether the law comes from the exact second order.
         num_accepted: number of steps accepted so far.
         status: `RUNNING`, or why the iteration ends.
     """
@@ -69,7 +72,6 @@ class ShootingState(eqx.Module):
     us: Float[Array, "T nu"]
     cost: Float[Array, ""]
     start_cost: Float[Array, ""]
-    model: LocalModel
     sweep: Sweep
     side: Float[Array, "T nu"]
     measured: Bool[Array, ""]
@@ -78,134 +80,122 @@ class ShootingState(eqx.Module):
     lam: Float[Array, ""]
     factor: Float[Array, ""]
     fraction: Float[Array, ""]
+    second: Bool[Array, ""]
     num_accepted: Int[Array, ""]
     status: Status
 
 
 def init(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) -> ShootingState:
-    """Roll out the clipped controls us (T, nu) from x0 (nx,) and judge the start."""
+    """Return the state before anything was computed; the first step rolls the controls out."""
     bounds = problem.bounds
     status = Status.of(Reason.RUNNING)
     if bounds is not None:
         crossed = (bounds[0] > bounds[1]).any(axis=1)
         infeasible = Status.of(Reason.INFEASIBLE_BOUNDS, jnp.argmax(crossed))
         status = _status.where(crossed.any(), infeasible, status)
-    us = clip(us, bounds)
-    xs = problem.rollout(x0, us)
-    costs = problem.stage_costs(xs, us)
     leaves = jax.tree.leaves(eqx.filter((problem.plant, problem.cost, problem.dt), eqx.is_array))
     finite = [jnp.isfinite(leaf).all() for leaf in [*leaves, x0, us]]
-    for bad_at, reason in (
-        (first_nonfinite(costs), Reason.NONFINITE_COST),
-        (first_nonfinite(xs) - 1, Reason.NONFINITE_DYNAMICS),
-        (jnp.where(jnp.stack(finite).all(), -1, 0), Reason.NONFINITE_INPUT),
-    ):
-        index = -1 if reason == Reason.NONFINITE_INPUT else bad_at
-        status = _status.where(bad_at >= 0, Status.of(reason, index), status)
-    num_steps, nx, nu, dtype = problem.num_steps, x0.size, us.shape[1], us.dtype
-    zeros = jnp.zeros
-    model = LocalModel(
-        *(zeros((num_steps, *shape), dtype) for shape in _block_shapes(nx, nu)),
-        vx=zeros(nx, dtype),
-        vxx=zeros((nx, nx), dtype),
-    )
-    per_control = zeros(us.shape, dtype)
+    finite = jnp.stack(finite).all()
+    status = _status.where(finite, status, Status.of(Reason.NONFINITE_INPUT))
+    dtype = us.dtype
+    none, number = jnp.zeros(us.shape, dtype), jnp.zeros((), dtype)
+    whole = jnp.array(-1, jnp.int32)
     sweep = Sweep(
-        k=per_control,
-        K=zeros((*us.shape, nx), dtype),
-        free=zeros(us.shape, bool),
-        curvature=per_control,
-        linear=zeros((), dtype),
-        quadratic=zeros((), dtype),
+        k=none,
+        K=jnp.zeros((*us.shape, x0.size), dtype),
+        gradient=none,
+        curvature=none,
+        linear=number,
+        quadratic=number,
         ok=jnp.array(False),
-        failed=jnp.array(-1, jnp.int32),
+        failed=whole,
+        nonfinite=whole,
         settled=jnp.array(False),
     )
-    cost = jnp.sum(costs)
     return ShootingState(
-        xs=xs,
-        us=us,
-        cost=cost,
-        start_cost=cost,
-        model=model,
+        xs=jnp.broadcast_to(x0, (problem.num_steps + 1, x0.size)),
+        us=clip(us, bounds),
+        cost=jnp.full((), jnp.nan, dtype),
+        start_cost=number,
         sweep=sweep,
-        side=per_control,
+        side=none,
         measured=jnp.array(False),
         gradient=jnp.full((), jnp.nan, dtype),
-        round_off=zeros((), dtype),
-        lam=zeros((), dtype),
+        round_off=number,
+        lam=number,
         factor=jnp.ones((), dtype),
-        fraction=zeros((), dtype),
+        fraction=number,
+        second=jnp.array(False),
         num_accepted=jnp.array(0),
         status=status,
     )
 
 
-def _block_shapes(nx: int, nu: int):
-    return ((nx, nx), (nx, nu), (nx,), (nu,), (nx, nx), (nu, nx), (nu, nu))
-
-
-def step(
-    problem: Problem,
-    state: ShootingState,
-    expand: Callable[[Problem, Array, Array], LocalModel],
-    tolerances: Tolerances,
-) -> ShootingState:
+def step(problem: Problem, state: ShootingState, solver: "AbstractShooting") -> ShootingState:
     """Search along the present law, then expand and sweep where that led.
 
-    After a rejection only the sweep is done again, with more regularisation; the derivatives
-    still hold.
+    The first step only rolls out the starting controls: its law is zero. The expansion is not
+    kept: carrying it through the loop costs more time than the few expansions that rejections
+    repeat.
     """
     bounds = problem.bounds
-    wanted = state.measured & state.sweep.ok & state.status.is_(Reason.RUNNING)
-    trial = backtrack(
-        problem, state.xs, state.us, state.cost, state.sweep, bounds, state.round_off, wanted
+    zero = jnp.zeros((), state.cost.dtype)
+    nominal = Trial(state.xs, state.us, state.cost, zero, jnp.array(False))
+    trial = search(
+        problem, nominal, state.sweep, bounds, state.round_off,
+        wanted=(state.sweep.ok | ~state.measured) & state.status.is_(Reason.RUNNING),
+        forced=~state.measured,
+    )  # fmt: skip
+    fraction = jnp.where(state.measured, trial.fraction, 0.0)
+    # Where the exact second order has led to nothing, Gauss and Newton's is tried before more
+    # regularisation.
+    undone = state.second & (fraction == 0)
+    lam, factor = _schedule(state, fraction, state.measured & ~undone)
+    second = solver.second_order & (state.gradient <= NEAR) & ~undone
+    model = expand(
+        problem, trial.xs, trial.us, second_order=second if solver.second_order else False
     )
-    lam, factor = _schedule(state, trial)
-    moved = trial.accepted | ~state.measured
-    model = jax.lax.cond(moved, lambda: expand(problem, trial.xs, trial.us), lambda: state.model)
-    _, gradient = costates(model)
-    sweep, side = _law(model, gradient, state, lam, trial.us, bounds)
-    scale = cost_scale(trial.cost, state.start_cost)
+    sweep, side = _law(model, state, lam, trial.us, bounds)
+    start_cost = jnp.where(state.measured, state.start_cost, trial.cost)
+    scale = cost_scale(trial.cost, start_cost)
     new = ShootingState(
         xs=trial.xs,
         us=trial.us,
         cost=trial.cost,
-        start_cost=state.start_cost,
-        model=model,
+        start_cost=start_cost,
         sweep=sweep,
         side=side,
         measured=jnp.array(True),
-        gradient=projected_gradient(trial.us, gradient, sweep.curvature, scale, bounds),
+        gradient=projected_gradient(trial.us, sweep.gradient, sweep.curvature, scale, bounds),
         round_off=rounding(model, trial.xs, trial.cost),
         lam=lam,
         factor=factor,
-        fraction=trial.fraction,
-        num_accepted=state.num_accepted + trial.accepted,
+        fraction=fraction,
+        second=second,
+        num_accepted=state.num_accepted + (trial.accepted & state.measured),
         status=state.status,
     )
-    return eqx.tree_at(lambda s: s.status, new, _judge(state, new, tolerances))
+    return eqx.tree_at(lambda s: s.status, new, _judge(problem, state, new, solver.tolerances))
 
 
-def _law(model, gradient, state: ShootingState, lam, us, bounds) -> tuple[Sweep, Array]:
+def _law(model, state: ShootingState, lam, us, bounds) -> tuple[Sweep, Array]:
     """Sweep through the model, damped by lambda times the last sweep's curvatures."""
     curvature = jnp.abs(state.sweep.curvature)
     damping = lam * jnp.maximum(curvature, 1e-3 * curvature.mean())
     if bounds is None:
         return lqr(model, damping), state.side
-    lower, upper = bounds[0] - us, bounds[1] - us
     # The last held set is the best guess, except at the start and where the sets cycled.
-    guess = jnp.where(state.sweep.settled, state.side, pushed(gradient, lower, upper))
-    return box_lqr(model, lower, upper, damping, side=guess)
+    guess = jnp.where(state.sweep.settled, state.side, jnp.nan)
+    return box_lqr(model, bounds[0] - us, bounds[1] - us, damping, side=guess)
 
 
-def _schedule(state: ShootingState, trial: Trial) -> tuple[Array, Array]:
-    """Adapt lambda, faster each time in the same direction (Tassa, Erez & Todorov 2012).
+def _schedule(state: ShootingState, fraction: Array, wanted: Array) -> tuple[Array, Array]:
+    """Adapt lambda, if wanted, faster each time in the same direction (Tassa et al. 2012).
 
     A long accepted step lowers it. A rejected one raises it, and so does a short one: there the
     linear model holds only nearby, and a more regular direction goes further.
     """
-    good, bad = trial.fraction >= LONG, trial.fraction <= SHORT
+    good, bad = fraction >= LONG, fraction <= SHORT
     down = jnp.minimum(1 / LAM_FACTOR, state.factor / LAM_FACTOR)
     up = jnp.maximum(LAM_FACTOR, state.factor * LAM_FACTOR)
     lower = state.lam * down
@@ -213,8 +203,7 @@ def _schedule(state: ShootingState, trial: Trial) -> tuple[Array, Array]:
     higher = jnp.maximum(state.lam * up, LAM_FIRST)
     lam = jnp.where(good, lower, jnp.where(bad, higher, state.lam))
     factor = jnp.where(good, down, jnp.where(bad, up, 1.0))
-    keep = ~state.measured
-    return jnp.where(keep, state.lam, lam), jnp.where(keep, state.factor, factor)
+    return jnp.where(wanted, lam, state.lam), jnp.where(wanted, factor, state.factor)
 
 
 def cost_scale(cost: Float[Array, ""], start_cost: Float[Array, ""]) -> Float[Array, ""]:
@@ -268,7 +257,7 @@ def rounding(
     return 10 * eps * jnp.abs(cost) + jnp.max(jnp.abs(model.vx) * dx)
 
 
-def _judge(old: ShootingState, new: ShootingState, tolerances: Tolerances) -> Status:
+def _judge(problem, old: ShootingState, new: ShootingState, tolerances: Tolerances) -> Status:
     """Say why to stop, or RUNNING."""
     gradient_tol, cost_tol, step_tol = tolerances.resolve(new.cost.dtype)
     expected = -(new.sweep.linear + new.sweep.quadratic)
@@ -281,17 +270,16 @@ def _judge(old: ShootingState, new: ShootingState, tolerances: Tolerances) -> St
     coarse = sure & (new.cost.dtype != jnp.float64) & (jnp.abs(expected) <= new.round_off)
     first = new.num_accepted == 0
     rejected = old.measured & (new.fraction == 0)
+    rejected &= ~old.second
     stuck = rejected & (new.lam > LAM_MAX)
-    solved = old.sweep.ok & old.sweep.settled & (old.lam >= LAM_SURE)
+    solved = old.measured & ~(old.second & (new.fraction == 0)) & old.sweep.ok & old.sweep.settled
     hopeless = solved & (-(old.sweep.linear + old.sweep.quadratic) <= old.round_off)
-    finite = [jnp.isfinite(block).reshape(block.shape[0], -1) for block in new.model[:-2]]
-    bad = ~jnp.concatenate(finite, axis=1).all(axis=1)
-    last_bad = ~(jnp.isfinite(new.model.vx).all() & jnp.isfinite(new.model.vxx).all())
-    bad_at = jnp.where(bad.any(), jnp.argmax(bad), bad.size)
+    hopeless &= jnp.where(rejected, old.lam >= LAM_SURE, new.gradient >= old.gradient)
+    bad = new.sweep.nonfinite >= 0
 
     status = Status.of(Reason.RUNNING)
     for condition, reason, index in (
-        (rejected & hopeless, Reason.STALLED, -1),
+        (hopeless, Reason.STALLED, -1),
         (stuck & old.sweep.ok, Reason.LINE_SEARCH_FAILED, -1),
         (stuck & ~old.sweep.ok, Reason.REGULARISATION_EXHAUSTED, old.sweep.failed),
         (coarse & ~first, Reason.CONVERGED_ROUND_OFF, -1),
@@ -300,7 +288,65 @@ def _judge(old: ShootingState, new: ShootingState, tolerances: Tolerances) -> St
         (stationary & (relative <= cost_tol), Reason.CONVERGED_COST, -1),
         (stationary & at_round_off, Reason.CONVERGED_GRADIENT, -1),
         (stationary & at_round_off & first, Reason.STATIONARY_START, -1),
-        (bad.any() | last_bad, Reason.NONFINITE_DERIVATIVE, bad_at),
+        (bad, Reason.NONFINITE_DERIVATIVE, new.sweep.nonfinite),
     ):  # fmt: skip
         status = _status.where(condition, Status.of(reason, index), status)
-    return _status.where(old.status.is_(Reason.RUNNING), status, old.status)
+    start = jax.lax.cond(old.measured, lambda: status, lambda: _judge_start(problem, new, status))
+    return _status.where(old.status.is_(Reason.RUNNING), start, old.status)
+
+
+def _judge_start(problem: Problem, new: ShootingState, status: Status) -> Status:
+    """Tell where the starting trajectory is not finite; `status` where it is."""
+    for bad_at, reason in (
+        (first_nonfinite(problem.stage_costs(new.xs, new.us)), Reason.NONFINITE_COST),
+        (first_nonfinite(new.xs) - 1, Reason.NONFINITE_DYNAMICS),
+    ):
+        status = _status.where(bad_at >= 0, Status.of(reason, bad_at), status)
+    return status
+
+
+class AbstractShooting(AbstractSolver):
+    """A solver of this kind: it says when it has converged, and what order its model is of.
+
+    Attributes:
+        second_order: whether the model has the second derivatives of the dynamics.
+    """
+
+    second_order: eqx.AbstractClassVar[bool]
+    gradient_tolerance: eqx.AbstractVar[float | None]
+    cost_tolerance: eqx.AbstractVar[float | None]
+    step_tolerance: eqx.AbstractVar[float | None]
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """The three tolerances together."""
+        return Tolerances(self.gradient_tolerance, self.cost_tolerance, self.step_tolerance)
+
+    def init(self, problem, x0, us):
+        """Return the state before anything was computed, from us (T, nu) and x0 (nx,)."""
+        return init(problem, x0, us)
+
+    def step(self, problem, state):
+        """Search along the law, then expand and sweep anew; arrays keep their shapes."""
+        return step(problem, state, self)
+
+    def status(self, state):
+        """Return why the iteration ends, or `RUNNING`; shape ()."""
+        return state.status
+
+    def record(self, state):
+        """Return cost, projected gradient, accepted fraction and lambda, each of shape ()."""
+        return Record(state.cost, state.gradient, state.fraction, state.lam)
+
+    def near(self, state):
+        """Tell whether the gradient is within 100 times its tolerance, shape ()."""
+        return state.gradient <= 100 * self.tolerances.resolve(state.cost.dtype)[0]
+
+    def policy(self, problem, state):
+        """Return the last gains around the last trajectory, xs (T+1, nx) and us (T, nu).
+
+        Without noise the policy reproduces that trajectory: the step that the sweep would take
+        next is not part of it.
+        """
+        k = jnp.zeros_like(state.us)
+        return AffinePolicy(state.xs, state.us, k, state.sweep.K, problem.bounds)

@@ -1,0 +1,89 @@
+// The command line that all peers share: PROBLEM US_FILE OUT_FILE REPEATS TH_STOP MAXITER.
+//
+// US_FILE and OUT_FILE hold controls (B, steps, nu) as raw float64. One line of JSON is printed;
+// its seconds are the median, over the repeats, of one pass over all B starts.
+
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <fstream>
+#include <string>
+#include <vector>
+
+namespace peers {
+
+struct Outcome {
+  int iterations = 0;
+  double cost = 0, stop = 0;
+};
+
+struct Command {
+  std::string problem, us_file, out_file;
+  int repeats, maxiter;
+  double th_stop;
+
+  Command(int argc, char** argv) {
+    if (argc < 7) {
+      std::fprintf(stderr, "usage: %s PROBLEM US_FILE OUT_FILE REPEATS TH_STOP MAXITER\n", argv[0]);
+      std::exit(2);
+    }
+    problem = argv[1], us_file = argv[2], out_file = argv[3];
+    repeats = std::atoi(argv[4]), th_stop = std::atof(argv[5]), maxiter = std::atoi(argv[6]);
+  }
+
+  // Return the controls of all starts, one after another, each of `size` numbers.
+  std::vector<double> read(std::size_t size) const {
+    std::ifstream file(us_file, std::ios::binary | std::ios::ate);
+    const std::size_t bytes = file ? std::size_t(file.tellg()) : 0;
+    if (bytes == 0 || bytes % (size * sizeof(double)) != 0) {
+      std::fprintf(stderr, "%s: not a whole number of starts\n", us_file.c_str());
+      std::exit(2);
+    }
+    std::vector<double> us(bytes / sizeof(double));
+    file.seekg(0);
+    file.read(reinterpret_cast<char*>(us.data()), bytes);
+    return us;
+  }
+
+  // Time `pass`, which solves from every start and fills `outcomes`; write `us` and print.
+  template <class Pass>
+  void run(const char* solver, const std::vector<double>& us, const std::vector<Outcome>& outcomes,
+           Pass&& pass) const {
+    std::vector<double> seconds;
+    for (int i = 0; i < std::max(1, repeats); ++i) {
+      const auto begin = std::chrono::steady_clock::now();
+      pass();
+      const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - begin;
+      seconds.push_back(taken.count());
+    }
+    std::sort(seconds.begin(), seconds.end());
+    const std::size_t n = seconds.size();
+    std::ofstream file(out_file, std::ios::binary);
+    file.write(reinterpret_cast<const char*>(us.data()), us.size() * sizeof(double));
+    std::printf("{\"problem\": \"%s\", \"solver\": \"%s\", \"seconds\": %.6e", problem.c_str(),
+                solver, 0.5 * (seconds[n / 2] + seconds[(n - 1) / 2]));
+    const auto list = [&](const char* name, auto&& print) {
+      std::printf(", \"%s\": [", name);
+      for (std::size_t i = 0; i < outcomes.size(); ++i) {
+        if (i > 0) std::printf(", ");
+        print(outcomes[i]);
+      }
+      std::printf("]");
+    };
+    // JSON has no infinities: print them, and NaN, as null.
+    const auto number = [](double v) {
+      if (std::isfinite(v)) std::printf("%.16e", v);
+      else std::printf("null");
+    };
+    list("iterations", [](const Outcome& o) { std::printf("%d", o.iterations); });
+    list("cost", [&](const Outcome& o) { number(o.cost); });
+    list("stop", [&](const Outcome& o) { number(o.stop); });
+    std::printf("}\n");
+  }
+};
+
+}  // namespace peers

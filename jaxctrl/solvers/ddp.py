@@ -1,0 +1,31 @@
+"""Differential dynamic programming: the exact second order, with bounds on the controls."""
+
+from typing import ClassVar
+
+import equinox as eqx
+
+from .shooting import AbstractShooting
+
+
+class DDP(AbstractShooting):
+    """Minimise the nominal cost by Newton steps, each a linear-quadratic problem.
+
+    As `ILQR`, but the model's Hessians l_zz of each step have the second derivatives of the
+    dynamics added, contracted with the costates p: l_zz + sum_i p_i (f_i)_zz, z = (x, u). Near the
+    optimum the gradient is squared each iteration. Far from it the exact Hessian is often
+    indefinite and says little: steps are ILQR's until the projected gradient is below 1, and
+    wherever the exact one gives no step that lowers the cost.
+
+    The costates are those of the present trajectory, which makes the step Newton's in all the
+    controls at once (Pantoja 1988; De O. Pantoja & Mayne 1991), rolled out with feedback; Jacobson
+    & Mayne (1970) take V_x of the sweep instead, which agrees at the optimum. Control bounds are
+    those of `ILQR`, and noise is ignored.
+
+    Arguments:
+        gradient_tolerance, cost_tolerance, step_tolerance: as in `ILQR`.
+    """
+
+    second_order: ClassVar[bool] = True
+    gradient_tolerance: float | None = eqx.field(static=True, default=None)
+    cost_tolerance: float | None = eqx.field(static=True, default=None)
+    step_tolerance: float | None = eqx.field(static=True, default=None)

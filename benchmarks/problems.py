@@ -131,12 +131,16 @@ class Case:
         )
 
     def starts(self, name, count=100):
-        """Return random controls (count, T, nu): a constant level with noise on it."""
+        """Return random controls (count, T, nu): a constant level with noise on it.
+
+        Without bounds their standard deviation is 5 (P1), 2 (P2) or 1, half of the variance each.
+        """
         rng = np.random.default_rng(0)
         shape = (count, self.T, self.nu)
         if self.bounds is None:
             sd = {"P1": 5.0, "P2": 2.0}.get(name, 1.0)
-            return sd * (rng.standard_normal((count, 1, self.nu)) + rng.standard_normal(shape))
+            level, noise = rng.standard_normal((count, 1, self.nu)), rng.standard_normal(shape)
+            return sd * np.sqrt(0.5) * (level + noise)
         level = rng.uniform(0.02, 0.4, (count, 1, self.nu))
         return np.clip(level + 0.03 * rng.standard_normal(shape), 0.0, 1.0)
 

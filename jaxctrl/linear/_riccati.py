@@ -33,9 +33,10 @@ class Sweep(NamedTuple):
 
     A step of length a along it changes the damped model's cost by a `linear` + a^2 `quadratic`.
     `gradient` is that of the total cost in the controls, `curvature` the diagonal of each Q_uu less
-    the step's own damping. `ok` tells whether every Q_uu was positive definite; where it was not, `failed` is the last such step of time.
-    `nonfinite` is the last step of time at which something was not finite, T for the last state;
-    -1 where all was. `settled` tells whether the set of controls at bounds was found.
+    the step's own damping. `ok` tells whether every Q_uu was positive definite; where it was not,
+    `failed` is the last such step of time. `nonfinite` is the last step of time at which something
+    was not finite, T for the last state; -1 where all was. `settled` tells whether the set of
+    controls at bounds was found.
     """
 
     k: Float[Array, "T nu"]
@@ -86,30 +87,28 @@ def lqr(model: LocalModel, damping: ArrayLike = 0.0) -> Sweep:
     damping = jnp.broadcast_to(damping, model.lu.shape)
 
     def body(carry, stage):
-        Vx, Vxx, s, p, linear, change = carry
+        # Columns: V_x; the gradient in the state under the law without k; that without any law.
+        ahead, Vxx, linear, change = carry
         fx, fu, lx, lu, lxx, lux, luu, d = stage
         luu = _add_diagonal(luu, d)
         Qxx, Qux, Quu = _quadratic(Vxx, fx, fu, lxx, lux, luu)
-        Qu, Su, gradient = (lu + matmul(fu.T, v) for v in (Vx, s, p))
-        rhs = jnp.concatenate([Qu[:, None], Qux], axis=1)
-        solved, ok = solve_positive(Quu, rhs)
+        Qv = lu[:, None] + matmul(fu.T, ahead)
+        solved, ok = solve_positive(Quu, jnp.concatenate([Qv[:, :1], Qux], axis=1))
         solved = jnp.where(ok, -solved, 0.0)
         k, K = solved[:, 0], solved[:, 1:]
         after = matmul(Quu, k)
-        # s is the gradient in the state under the law without k, p that without any law.
-        new = (
-            lx + matmul(fx.T, Vx) + matmul(Qux.T, k) + matmul(K.T, Qu + after),
-            _value(Vxx, Qxx, Qux, K, (fx, fu, lxx, lux, luu)),
-            lx + matmul(fx.T, s) + matmul(K.T, Su),
-            lx + matmul(fx.T, p),
-            linear + jnp.sum(k * Su),
-            change + jnp.sum(k * (Qu + 0.5 * after)),
-        )
-        finite = jnp.isfinite(jnp.sum(new[0]) + jnp.trace(new[1]))
-        return new, (k, K, gradient, jnp.diagonal(Quu) - d, ok, finite)
+        law = jnp.stack([Qv[:, 0] + after, Qv[:, 1], jnp.zeros_like(k)], axis=1)
+        step = jnp.stack([k, jnp.zeros_like(k), jnp.zeros_like(k)], axis=1)
+        before = lx[:, None] + matmul(fx.T, ahead) + matmul(Qux.T, step) + matmul(K.T, law)
+        Vxx = _value(Vxx, Qxx, Qux, K, (fx, fu, lxx, lux, luu))
+        linear = linear + jnp.sum(k * Qv[:, 1])
+        change = change + jnp.sum(k * (Qv[:, 0] + 0.5 * after))
+        finite = jnp.isfinite(jnp.sum(before[:, 0]) + jnp.trace(Vxx))
+        out = (k, K, Qv[:, 2], jnp.diagonal(Quu) - d, ok, finite)
+        return (before, Vxx, linear, change), out
 
     zero = jnp.zeros((), model.vx.dtype)
-    start = (model.vx, model.vxx, model.vx, model.vx, zero, zero)
+    start = (jnp.stack([model.vx] * 3, axis=1), model.vxx, zero, zero)
     end, out = jax.lax.scan(body, start, (*model[:-2], damping), reverse=True)
     k, K, gradient, curvature, ok, finite = out
     linear, change = end[-2:]
@@ -132,8 +131,7 @@ def _add_diagonal(A: Array, d: Array) -> Array:
 def _quadratic(Vxx, fx, fu, lxx, lux, luu) -> tuple[Array, Array, Array]:
     """Return Q_xx, Q_ux and Q_uu."""
     VA, VB = matmul(Vxx, fx), matmul(Vxx, fu)
-    Quu = symmetrise(luu + matmul(fu.T, VB))
-    return lxx + matmul(fx.T, VA), lux + matmul(fu.T, VA), Quu
+    return lxx + matmul(fx.T, VA), lux + matmul(fu.T, VA), luu + matmul(fu.T, VB)
 
 
 def _value(Vxx, Qxx, Qux, K, stage) -> Array:

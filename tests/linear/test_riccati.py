@@ -89,7 +89,8 @@ def test_expected_change_equals_the_change_of_the_model(damping, step):
     sweep = lqr(model, damping)
     _, dus = lqr_rollout(model, step * sweep.k, sweep.K, jnp.zeros(4))
     expected = step * sweep.linear + step**2 * sweep.quadratic
-    np.testing.assert_allclose(cost(dus), expected, rtol=1e-12)
+    damped = cost(dus) + 0.5 * damping * jnp.sum(dus**2)
+    np.testing.assert_allclose(damped, expected, rtol=1e-12)
 
 
 def test_costates_give_the_gradient_of_the_total_cost():

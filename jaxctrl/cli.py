@@ -14,6 +14,7 @@ import os
 import signal
 import sys
 import typing
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from . import experiments
+from ._cpu import enable_fast_cpu
 from ._version import __version__
 
 if TYPE_CHECKING:
@@ -116,6 +118,9 @@ def run(names: tuple[str, ...], quick: bool, out: Path, pairs: tuple[str, ...], 
         import jax
         import matplotlib
 
+        with warnings.catch_warnings():  # a program that calls `main` may have used JAX before
+            warnings.simplefilter("ignore")
+            enable_fast_cpu()
         jax.config.update("jax_enable_x64", True)
         matplotlib.use("Agg")
         from .experiments import _runner, _store

@@ -207,7 +207,7 @@ def _differences(found: _Solves, inputs, tangents) -> list[tuple[float, Any, Any
     """
 
     def outputs(h):
-        values, solution = found.moved(inputs, tangents, h)
+        values, solution = found.moved(inputs, tangents, jnp.asarray(h))  # a float would be static
         return values if float(solution.gradient) < TIGHT else None
 
     def quotient(h):

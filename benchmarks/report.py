@@ -1,0 +1,222 @@
+"""Put the figures of a run into tables, and beside the bars that they are held to."""
+
+import math
+import statistics
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+Record = dict[str, Any]
+OURS = ("ILQR", "DDP")
+NEAR = 1.001
+"""A restart has succeeded within this factor of the best cost."""
+CROCODDYL = {"P1": 0.3, "P2": 0.5, "P3": 0.4, "P3h": 0.8}
+FLOOR = {"P1": 1.3, "P3f": 1.3, "P2": 2.0}
+DEFAULT = {"P1": 2.0, "P2": 2.0, "P3": 2.0}
+RESTARTS = {"P1": ("one solve", 60.0), "P3": ("one solve", 60.0), "P2": ("Crocoddyl", 1.0)}
+SUCCESS = {"P1": 0.94, "P2": 0.98, "P3": 0.99, "P3h": 0.98}
+FIRST = {"P1": 1.0, "P2": 1.0, "P3": 2.5}
+GRADIENTS = {"cost": 1.0, "trajectory": 3.0}
+HEADS = {
+    "single": (
+        "problem", "solver", "flags", "inside ms", "min", "eager ms", "first s", "iter.",
+        "ms/iter.", "cost", "/ best", "over limit", "g", "status",
+    ),
+    "restarts": (
+        "problem", "solver", "flags", "dev.", "total ms", "/ one", "success", "by cost",
+        "iter. med", "max", "first s",
+    ),
+    "gradients": (
+        "problem", "solver", "flags", "iteration ms", "cost ms", "/ iter.", "traject. ms",
+        "/ iter.", "handing ms", "finite",
+    ),
+    "bars": ("what", "problem", "by", "figure", "bar", ""),
+}  # fmt: skip
+
+
+def best_costs(records: Iterable[Record], known: dict[str, float | None]) -> dict[str, float]:
+    """Return each problem's best cost: the best known or, if lower, anybody's in this run."""
+    best = {name: math.inf if cost is None else cost for name, cost in known.items()}
+    for record in records:
+        costs = [*record.get("costs", ()), record.get("cost"), record.get("limit")]
+        if record["section"] in ("single", "restarts"):
+            finite = [cost for cost in costs if cost is not None and math.isfinite(cost)]
+            best[record["problem"]] = min([best[record["problem"]], *finite])
+    return best
+
+
+def add_success(records: Iterable[Record], best: dict[str, float]) -> None:
+    """Compare costs with the best: ratios of single solves, successes of restarts."""
+    for record in records:
+        if record["section"] == "single":
+            record["ratio"] = record["cost"] / best[record["problem"]]
+        elif record["section"] == "restarts":
+            near = [cost <= NEAR * best[record["problem"]] for cost in record["costs"]]
+            both = [a and b for a, b in zip(near, record["ok"], strict=True)]
+            record["by_cost"], record["success"] = statistics.mean(near), statistics.mean(both)
+            record["iterations_median"] = statistics.median(record["iterations"])
+            record["iterations_max"] = max(record["iterations"])
+
+
+class Figures:
+    """The records of a run, to be asked for one."""
+
+    def __init__(self, records: Sequence[Record]):
+        self.records = records
+
+    def get(self, section: str, mode: str, problem: str, solver: str) -> Record | None:
+        """Return one record, or None."""
+        wanted = (section, mode, problem, solver)
+        for r in self.records:
+            if (r["section"], r.get("mode"), r.get("problem"), r.get("solver")) == wanted:
+                return r
+        return None
+
+    def ours(self, section: str, mode: str, problem: str) -> list[Record]:
+        """Return our solvers' records that there are."""
+        found = (self.get(section, mode, problem, solver) for solver in OURS)
+        return [record for record in found if record is not None]
+
+    def fastest(self, mode: str, problem: str) -> Record | None:
+        """Return our faster single solve, among those that converged to the best cost."""
+        fine = [r for r in self.ours("single", mode, problem) if r["ok"] and r["ratio"] <= NEAR]
+        return min(fine, key=lambda r: r["inside_ms"], default=None)
+
+    def restarted(self, problem: str) -> Record | None:
+        """Return our restarts: the faster solver of those successful enough, or the surest."""
+        found = self.ours("restarts", "fast", problem)
+        enough = [r for r in found if r["success"] >= SUCCESS[problem]]
+        if enough:
+            return min(enough, key=lambda r: r["total_ms"])
+        return max(found, key=lambda r: r["success"], default=None)
+
+    def crocoddyl_restarts(self, problem: str) -> Record | None:
+        """Return the faster of Crocoddyl's two kinds of start."""
+        kinds = [
+            self.get("restarts", "peer", problem, f"Crocoddyl{kind}") for kind in ("", " feasible")
+        ]
+        return min(filter(None, kinds), key=lambda r: r["total_ms"], default=None)
+
+
+def verdict(value: float | None, bar: float, least: bool = False) -> str:
+    """Say whether a figure is within its bar, which is the least or the most it may be."""
+    if value is None or math.isnan(value):
+        return "not measured"
+    return "met" if (value >= bar if least else value <= bar) else "MISSED"
+
+
+def bars(figures: Figures, names: Sequence[str], restarts: int) -> Iterator[Record]:
+    """Yield each bar of the problems in `names` with the figure that is held to it."""
+
+    def row(what, problem, record, value, bar, least=False):
+        by = "-" if record is None else record["solver"]
+        yes = verdict(value, bar, least)
+        return {
+            "what": what, "problem": problem, "by": by, "figure": value, "bar": bar,
+            "least": least, "verdict": yes,
+        }  # fmt: skip
+
+    def ratio(record, key, other, other_key):
+        return None if record is None or other is None else record[key] / other[other_key]
+
+    singles = (
+        ("one solve, fast / Crocoddyl", "fast", "Crocoddyl", CROCODDYL),
+        ("one solve, fast / floor", "fast", "floor", FLOOR),
+        ("one solve, default / Crocoddyl", "default", "Crocoddyl", DEFAULT),
+    )
+    for what, mode, peer, limits in singles:
+        for name in filter(limits.get, names):
+            record, other = figures.fastest(mode, name), figures.get("single", "peer", name, peer)
+            value = ratio(record, "inside_ms", other, "inside_ms")
+            held = row(what, name, record, value, limits[name])
+            # Figures there are, but none of a solve that converged to the best cost.
+            failed = record is None and figures.ours("single", mode, name)
+            yield {**held, "verdict": "MISSED"} if failed else held
+    for name in filter(RESTARTS.get, names):
+        record, (unit, bar) = figures.restarted(name), RESTARTS[name]
+        other, key = figures.crocoddyl_restarts(name), "total_ms"
+        value = ratio(record, key, other, key)
+        if unit == "one solve":
+            value = None if record is None else record["of_one"]
+        yield row(f"{restarts} restarts, fast / {unit}", name, record, value, bar)
+    for name in filter(SUCCESS.get, names):
+        record = figures.restarted(name)
+        value = None if record is None else record["success"]
+        yield row(f"success of {restarts} restarts", name, record, value, SUCCESS[name], True)
+    for name in filter(FIRST.get, names):
+        for record in figures.ours("single", "fast", name):
+            yield row("first call, fast [s]", name, record, record["first_s"], FIRST[name])
+    for mode in ("fast", "default"):
+        for name in names:
+            for record in figures.ours("gradients", mode, name):
+                for of, bar in GRADIENTS.items():
+                    what = f"gradient of {of}, {mode} [iterations]"
+                    yield row(what, name, record, record[of], bar)
+
+
+def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Lay out a table, words to the left and numbers to the right."""
+    rows = [heads, *rows]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(heads))]
+    words = [i for i, head in enumerate(heads) if head in ("problem", "solver", "what", "by", "")]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if i in words else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+    return "\n".join([title, "-" * len(lines[0]), *lines, ""])
+
+
+def text(value: Any, form: str = "") -> str:
+    """Write a figure, or a dash where there is none."""
+    return "-" if value is None else format(value, form)
+
+
+def cells(record: Record) -> list[str]:
+    """Write one record as a row of its section's table."""
+    get = record.get
+    row = [record["problem"], record["solver"], record["mode"]]
+    if record["section"] == "single":
+        each = get("inside_ms") / get("iterations") if get("iterations") else None
+        row += [text(get(k), ".3f") for k in ("inside_ms", "inside_min_ms", "eager_ms")]
+        row += [text(get("first_s"), ".2f"), text(get("iterations")), text(each, ".4f")]
+        row += [text(get("cost"), ".7e"), text(get("ratio"), ".7f"), text(get("gap"), ".1e")]
+        return [*row, text(get("g"), "g"), text(get("status"))]
+    if record["section"] == "restarts":
+        row += [text(get("devices")), text(get("total_ms"), ".1f"), text(get("of_one"), ".1f")]
+        row += [text(get("success"), ".2f"), text(get("by_cost"), ".2f")]
+        row += [text(get("iterations_median"), "g"), text(get("iterations_max"))]
+        return [*row, text(get("first_s"), ".2f")]
+    row += [text(get(k), ".4f") for k in ("iteration_ms", "cost_ms")]
+    row += [text(get("cost"), ".2f"), text(get("trajectory_ms"), ".4f")]
+    row += [text(get("trajectory"), ".2f"), text(get("handing_ms"), ".4f")]
+    return [*row, "yes" if get("finite") else "NO"]
+
+
+def tables(records: Sequence[Record], held: Sequence[Record], missing: dict[str, str]) -> str:
+    """Return all tables as one text."""
+    titles = {
+        "single": "One solve, on one core (medians; `inside` is one jitted call; first calls have "
+        "all cores)",
+        "restarts": "Restarts (jaxctrl: 2 devices, all cores; Crocoddyl: 1 thread)",
+        "gradients": "Gradients beyond the forward solve, in iterations of ILQR (`handing`: "
+        "what JAX takes to return so many arrays, contained in both)",
+    }
+    parts = []
+    for section, title in titles.items():
+        rows = sorted(
+            (r for r in records if r["section"] == section),
+            key=lambda r: (r["problem"], r["solver"] not in OURS),
+        )
+        if rows:
+            parts.append(table(title, HEADS[section], map(cells, rows)))
+    rows = []
+    for bar in held:
+        sign = ">=" if bar["least"] else "<="
+        shown = [text(bar["figure"], ".3g"), f"{sign} {bar['bar']:g}", bar["verdict"]]
+        rows.append([bar["what"], bar["problem"], bar["by"], *shown])
+    if rows:
+        parts.append(table("Bars", HEADS["bars"], rows))
+    parts += [f"not here: {name}: {reason}" for name, reason in missing.items()]
+    return "\n".join(parts)

@@ -1,0 +1,76 @@
+"""DDP: the optimum of ILQR, reached with gradients that are squared instead of scaled."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from problems import PROBLEMS
+
+import jaxctrl as jc
+
+
+def gradients(solution):
+    """Return the projected gradient of each iterate."""
+    return np.asarray(solution.history.gradient)[: int(solution.num_steps) + 1]
+
+
+@pytest.mark.parametrize("name", ["pendulum", "torque arm, reach"])
+def test_last_gradients_fall_quadratically_where_those_of_ilqr_fall_linearly(name):
+    problem, x0 = PROBLEMS[name]()
+    ilqr = jc.solve(problem, jc.ILQR(), x0)
+    ddp = jc.solve(problem, jc.DDP(gradient_tolerance=1e-10), x0)
+    assert ilqr.status.ok and ddp.status.ok
+    np.testing.assert_allclose(ddp.cost, ilqr.cost, rtol=1e-8)
+    np.testing.assert_allclose(ddp.us, ilqr.us, atol=1e-3 * float(jnp.abs(ilqr.us).max()))
+    g, linear = gradients(ddp), gradients(ilqr)
+    print(name, "DDP", g[-5:], "ILQR", linear[-5:])
+    near = g[(g < 0.3) & (g > 1e-6)]
+    after = g[1:][(g[:-1] < 0.3) & (g[:-1] > 1e-6)]
+    assert len(near) >= 2
+    # Each order of convergence, log g_{k+1} / log g_k, near 2; rounding ends it at about 1e-10.
+    orders = np.log(after[-2:]) / np.log(near[-2:])
+    assert (orders > 1.5).all() or (after[-1] < 1e-9)
+    ratios = linear[-4:] / linear[-5:-1]
+    assert (ratios > 1e-3).all()
+
+
+@pytest.mark.parametrize("name", list(PROBLEMS))
+def test_ddp_ends_no_higher_than_ilqr(name):
+    problem, x0 = PROBLEMS[name]()
+    ddp, ilqr = (jc.solve(problem, solver, x0) for solver in (jc.DDP(), jc.ILQR()))
+    assert ddp.status.ok, ddp.status.message
+    assert ddp.cost <= ilqr.cost * (1 + 1e-3)
+    assert ddp.num_steps <= ilqr.num_steps + 5
+    n = int(ddp.num_steps) + 1
+    falls = np.diff(np.asarray(ddp.history.cost)[:n])
+    assert (falls <= 1e-14 * np.abs(float(ddp.history.cost[0]))).all()
+
+
+def test_negative_curvature_is_followed_down_and_not_called_an_optimum():
+    # In x' = -u^2 + u^4 every u = 0 is a stationary maximum of the cost x(T).
+    def dynamics(x, u, t):
+        return jnp.array([-(u[0] ** 2) + u[0] ** 4])
+
+    plant = jc.FunctionPlant(dynamics, nx=1, nu=1, nominal_control=0.05)
+    cost = jc.FunctionCost(running=lambda x, u, t: 1e-3 * u[0] ** 2, terminal=lambda x: x[0])
+    problem = jc.Problem(plant, cost, num_steps=10, dt=0.1)
+    solution = jc.solve(problem, jc.DDP(), jnp.zeros(1))
+    assert solution.status.ok
+    best = np.sqrt((1 - 1e-3) / 2)
+    np.testing.assert_allclose(np.abs(solution.us), best, rtol=1e-6)
+
+
+def test_tolerances_far_below_the_costs_round_off_are_reached():
+    problem, x0 = PROBLEMS["torque arm, reach, bounded"]()
+    solution = jc.solve(problem, jc.DDP(gradient_tolerance=1e-12), x0)
+    assert solution.status.ok and solution.gradient <= 1e-12
+
+
+def test_ddp_in_float32_reaches_the_float64_cost(float32):
+    problem, x0 = PROBLEMS["torque arm, reach"]()
+    solution = jc.solve(problem, jc.DDP(), x0)
+    assert solution.us.dtype == jnp.float32 and solution.status.ok
+    with jax.enable_x64(True):
+        problem, x0 = PROBLEMS["torque arm, reach"]()
+        wanted = jc.solve(problem, jc.DDP(), x0).cost
+    np.testing.assert_allclose(solution.cost, wanted, rtol=1e-3)

@@ -47,7 +47,7 @@ def _attach_jvp(primals, tangents):
     found, problem, x0, ok = primals
     _, t_problem, t_x0, _ = tangents
     found = attach(found, problem, x0, ok)
-    # What is not finite in a failed lane must not reach the others, multiplied by zero.
+    # What overflows in a failed lane must not reach the others, multiplied by zero.
     xs, us, problem = _tame((found[0], found[1], problem), ok)
     arrays, static = eqx.partition(problem, eqx.is_inexact_array)
     t_arrays, t_x0 = _instantiate(arrays, t_problem), _instantiate(x0, t_x0)
@@ -90,20 +90,23 @@ def _held(problem: Problem, us: Array, gradient: Array, t_bounds) -> tuple[Array
 def _nan_unless(ok: Array, tangent: Array) -> Array:
     """Return zeros where `ok`; else NaN, but zero for a zero tangent. Linear, and transposed so.
 
-    inf - inf is NaN and 0 - 0 is 0; a product with NaN would turn a zero cotangent into NaN.
+    Nothing finite stays finite after three factors `huge`, and inf times zero is NaN; zero stays
+    zero, which a product with NaN would not leave it. The factors read the same backwards.
     """
     huge = jnp.where(ok, 0.0, jnp.finfo(tangent.dtype).max).astype(tangent.dtype)
-    infinite = tangent * huge * huge * huge
-    return infinite - infinite
+    for factor in (huge, huge, huge, jnp.zeros_like(huge), huge, huge, huge):
+        tangent = tangent * factor
+    return tangent
 
 
 def _tame(tree, ok: Array):
-    """Replace what is not finite by 1 unless `ok`."""
+    """Unless `ok`, replace by 1 what is not finite, or so large that its powers would overflow."""
 
     def tame(leaf):
         if not eqx.is_inexact_array(leaf):
             return leaf
-        return jnp.where(ok | jnp.isfinite(leaf), leaf, jnp.ones((), leaf.dtype))
+        small = jnp.abs(leaf) <= jnp.finfo(leaf.dtype).max ** 0.03
+        return jnp.where(ok | small, leaf, jnp.ones((), leaf.dtype))
 
     return jax.tree.map(tame, tree)
 

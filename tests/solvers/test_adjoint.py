@@ -63,9 +63,7 @@ def test_derivatives_by_every_input_agree_with_differences_everywhere(name):
 
 
 def test_derivatives_by_times_of_events_and_points_agree_with_differences():
-    problem, x0 = PROBLEMS["torque arm, via"]()
-    wanted = ("cost.parts[1].times", "cost.parts[1].points", "plant.skeleton.I2")
-    _check("torque arm, via", lambda name: name in wanted or name.endswith("I2"))
+    _check("torque arm, via", lambda name: name.endswith((".times", ".points", "I2")))
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +71,7 @@ def pendulum():
     problem, x0 = CASES["pendulum, many bounds"]()
 
     @jax.jit
-    def solve(mass, x0, max_steps_reached=False):
+    def solve(mass, x0):
         changed = eqx.tree_at(lambda p: p.plant.m, problem, mass)
         return jc.solve(changed, TIGHT, x0)
 
@@ -94,7 +92,7 @@ def test_bounds_that_bind_move_their_controls(pendulum):
 
 
 def test_gradients_under_vmap_equal_those_of_each_lane(pendulum):
-    problem, x0, solve = pendulum
+    _, x0, solve = pendulum
     masses = jnp.array([0.95, 1.0, 1.1])
 
     def loss(mass, x0):

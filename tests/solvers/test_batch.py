@@ -18,7 +18,7 @@ from jaxctrl import _cpu as cpu
 
 @pytest.fixture(scope="module")
 def pendulum():
-    problem, x0 = PROBLEMS["pendulum, bounded"]()
+    problem, x0 = PROBLEMS["pendulum"]()
     uss = jax.random.normal(jax.random.key(0), (5, problem.num_steps, 1))
     return problem, x0, uss, jax.vmap(lambda us: jc.solve(problem, jc.ILQR(), x0, us))(uss)
 
@@ -63,7 +63,7 @@ def test_best_takes_the_lowest_cost_that_converged(pendulum):
 
 
 def test_batches_are_differentiable_under_jit(pendulum):
-    problem, x0, uss, wanted = pendulum
+    problem, x0, uss, _ = pendulum
 
     @jax.jit
     @jax.grad
@@ -98,7 +98,7 @@ PROGRAM = """
     import jax.numpy as jnp
     jax.config.update("jax_enable_x64", True)
     from problems import PROBLEMS
-    problem, x0 = PROBLEMS["pendulum, bounded"]()
+    problem, x0 = PROBLEMS["pendulum"]()
     assert len(jax.devices()) == 2
     uss = jax.random.normal(jax.random.key(0), (5, problem.num_steps, 1))
     shared = jc.solve_batch(problem, jc.ILQR(), x0, uss)

@@ -24,14 +24,13 @@ def test_last_gradients_fall_quadratically_where_those_of_ilqr_fall_linearly(nam
     np.testing.assert_allclose(ddp.us, ilqr.us, atol=1e-3 * float(jnp.abs(ilqr.us).max()))
     g, linear = gradients(ddp), gradients(ilqr)
     print(name, "DDP", g[-5:], "ILQR", linear[-5:])
-    near = g[(g < 0.3) & (g > 1e-6)]
-    after = g[1:][(g[:-1] < 0.3) & (g[:-1] > 1e-6)]
+    near = g[:-1][(g[:-1] < 0.9) & (g[:-1] > 1e-6)]
+    after = g[1:][(g[:-1] < 0.9) & (g[:-1] > 1e-6)]
     assert len(near) >= 2
     # Each order of convergence, log g_{k+1} / log g_k, near 2; rounding ends it at about 1e-10.
     orders = np.log(after[-2:]) / np.log(near[-2:])
     assert (orders > 1.5).all() or (after[-1] < 1e-9)
-    ratios = linear[-4:] / linear[-5:-1]
-    assert (ratios > 1e-3).all()
+    assert (linear[-2:] / linear[-3:-1] > 0.01).all()
 
 
 @pytest.mark.parametrize("name", list(PROBLEMS))

@@ -1,4 +1,4 @@
-"""End to end: the parameters of an arm from one of its optimal movements, by optax through solve."""
+"""End to end: an arm's parameters from one of its optimal movements, by optax through solve."""
 
 import jax
 import jax.numpy as jnp

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -93,9 +94,14 @@ def init(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) ->
         crossed = (bounds[0] > bounds[1]).any(axis=1)
         infeasible = Status.of(Reason.INFEASIBLE_BOUNDS, jnp.argmax(crossed))
         status = _status.where(crossed.any(), infeasible, status)
-    leaves = jax.tree.leaves(eqx.filter((problem.plant, problem.cost, problem.dt), eqx.is_array))
-    finite = [jnp.isfinite(leaf).all() for leaf in [*leaves, x0, us]]
-    finite = jnp.stack(finite).all()
+    # Bounds alone may be infinite.
+    plant = eqx.tree_at(
+        lambda p: p.control_bounds, problem.plant, None, is_leaf=lambda leaf: leaf is None
+    )
+    inputs = eqx.filter((plant, problem.cost, problem.dt, x0, us), eqx.is_inexact_array)
+    finite = jnp.isfinite(jax.flatten_util.ravel_pytree(inputs)[0]).all()
+    if bounds is not None:
+        finite &= ~jnp.isnan(bounds[0]).any() & ~jnp.isnan(bounds[1]).any()
     status = _status.where(finite, status, Status.of(Reason.NONFINITE_INPUT))
     dtype = us.dtype
     none, number = jnp.zeros(us.shape, dtype), jnp.zeros((), dtype)

@@ -33,7 +33,11 @@ def test_last_gradients_fall_quadratically_where_those_of_ilqr_fall_linearly(nam
     assert (linear[-2:] / linear[-3:-1] > 0.01).all()
 
 
-@pytest.mark.parametrize("name", list(PROBLEMS))
+QUICK = ["discrete", "pendulum, bounded", "torque arm, via", "muscle arm, reach"]
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in PROBLEMS if name not in QUICK]
+
+
+@pytest.mark.parametrize("name", [*QUICK, *SLOW])
 def test_ddp_ends_no_higher_than_ilqr(name):
     problem, x0 = PROBLEMS[name]()
     ddp, ilqr = (jc.solve(problem, solver, x0) for solver in (jc.DDP(), jc.ILQR()))

@@ -93,6 +93,19 @@ def test_nan_input_under_jit_is_a_status_within_two_iterations():
     assert reason(solve(problem, X0)) == "NONFINITE_INPUT"
 
 
+def test_bounds_of_a_plant_may_be_infinite_but_not_nan():
+    plant = jc.FunctionPlant(
+        lambda x, u, t: pendulum(x, u, t, {"mu": 0.01}), nx=2, nu=1, control_bounds=(-jnp.inf, 2.0)
+    )
+    solve = eqx.filter_jit(lambda p: jc.solve(p, jc.ILQR(), X0))
+    problem = jc.Problem(plant, quadratic(), num_steps=30, dt=0.05)
+    half = solve(problem)
+    assert half.status.ok and half.us.max() <= 2.0
+    upper = jnp.full(1, jnp.nan)
+    spoilt = eqx.tree_at(lambda p: p.plant.control_bounds[1], problem, upper)
+    assert reason(solve(spoilt)) == "NONFINITE_INPUT"
+
+
 def explosive(x, u, t, p):
     return jnp.array([x[1] ** 2, x[0] ** 3 + u[0]])
 

@@ -53,6 +53,7 @@ def solve_batch(
     one = jax.tree.map(lambda leaf: leaf[0], problem) if batched else problem
     sizes = {"problem": len(problem.dt)} if batched else {}
     lanes: list[Any] = [problem if batched else None, None, None]
+    fixed: list[Any] = [None if batched else problem, None, None]
     for i, (name, value, rank) in enumerate((("x0s", x0s, 1), ("uss", uss, 2)), start=1):
         if value is None:
             continue
@@ -62,11 +63,9 @@ def solve_batch(
             sizes[name] = shape[0]
             lanes[i] = check_array(name, value, (shape[0], *single))
         else:
-            check_array(name, value, single, f"or (B, {', '.join(map(str, single))})")
+            fixed[i] = check_array(name, value, single, f"or (B, {', '.join(map(str, single))})")
     if not sizes or len(set(sizes.values())) > 1 or 0 in sizes.values():
         raise ValueError(f"x0s, uss: one leading axis B > 0 is wanted, got {sizes or 'none'}")
-    given = (problem, x0s, uss)
-    fixed = [g if lane is None else None for g, lane in zip(given, lanes, strict=True)]
     job = _Job(lanes, fixed, solver, max_steps)
     return _run(job, next(iter(sizes.values())), chunk)
 
@@ -88,7 +87,7 @@ class _Job(eqx.Module):
 def _run(job: _Job, size: int, chunk: int | None) -> Solution:
     """Map a solve over lanes in the manner that suits the device."""
     devices = jax.devices()
-    concrete = is_concrete(*jax.tree.leaves(eqx.filter(job.lanes, eqx.is_array)))
+    concrete = is_concrete(*jax.tree.leaves(eqx.filter(job, eqx.is_array)))
     if devices[0].platform == "cpu" and chunk is None:
         n = min(len(devices), size) if concrete else 1
         return _one_by_one(job) if n == 1 else _shared(job, size, tuple(devices[:n]))

@@ -22,6 +22,10 @@ SIZE_OF_ZERO = 1e-3
 """The size that an input counts as having that is zero: absent weights, a target at the origin."""
 TIGHT = 1e-7
 """The relative projected gradient below which a solve beside the optimum counts."""
+KINK = 30.0
+"""How many uncertainties apart the quotients of two sides are at a kink, not only noisy."""
+TRIFLE = 1e-6
+"""The relative error below which no kink is looked for."""
 OUTPUTS = ("cost", "xs[-1]", "us")
 
 
@@ -35,6 +39,9 @@ class GradientRow(NamedTuple):
         uncertainty: by how much difference quotients of two steps differ, in the same measure; an
             error that is not above it means nothing.
         step: the step of the difference, relative to the size of the input.
+        side: "+-" for a central difference; "+" or "-" for a one-sided one, taken where there is
+            no optimum on the other side, or a kink between them: a control that just meets its
+            bound follows it one way only.
         transposed: by how much reverse mode differs from forward mode, relative.
     """
 
@@ -45,6 +52,7 @@ class GradientRow(NamedTuple):
     error: float
     uncertainty: float
     step: float
+    side: str
     transposed: float
 
 
@@ -66,12 +74,13 @@ class GradientReport:
     def __str__(self) -> str:
         width = max(len(row.name) for row in self.rows)
         head = f"{'input':<{width}}  output  {'derivative':>12}{'difference':>12}{'error':>9}"
-        lines = [head + f"{'+-':>9}{'step':>9}{'vjp-jvp':>9}"]
+        lines = [head + f"{'+-':>9}{'step':>9}{'side':>5}{'vjp-jvp':>9}"]
         for row in self.rows:
             lines.append(
                 f"{row.name:<{width}}  {row.output:<6}"
                 f"{row.derivative:>13.4e}{row.difference:>12.4e}"
-                f"{row.error:>9.1e}{row.uncertainty:>9.1e}{row.step:>9.1e}{row.transposed:>9.1e}"
+                f"{row.error:>9.1e}{row.uncertainty:>9.1e}{row.step:>9.1e}{row.side:>5}"
+                f"{row.transposed:>9.1e}"
             )
         return "\n".join([*lines, f"worst error {self.worst:.1e}"])
 
@@ -93,8 +102,10 @@ def check_gradients(
     size. The derivatives of cost, last state and controls along v are compared with central
     differences, extrapolated (Richardson) from two steps, of solves by `DDP` to round-off, each
     started at the optimum itself. Of several steps the one is taken whose quotients agree best:
-    long ones change which bounds hold. At a point where a control is just about to meet its bound,
-    the optimum has two one-sided derivatives, and no step agrees.
+    long ones change which bounds hold. Where a control just meets its bound, with a gradient of
+    zero, the optimum has two one-sided derivatives: when the difference quotients of the two sides
+    tell them apart, the nearer one is compared. (A muscle at rest at the end of a movement, where
+    its excitation no longer changes the cost, is such a control.)
 
     Meant for a look at a new problem, in float64: it solves some twenty times per input.
 
@@ -167,15 +178,11 @@ class _Solves(eqx.Module):
 
 def _compare(name: str, found: _Solves, inputs, tangents, rng) -> list[GradientRow]:
     """Return a row for each output."""
-    derivatives = found.forward(inputs, tangents)
-    differences = _differences(found, inputs, tangents)
+    derivatives = [np.asarray(derivative) for derivative in found.forward(inputs, tangents)]
+    differences = _Differences(found, inputs, tangents)
     rows = []
-    for j, output in enumerate(OUTPUTS):
-        derivative = np.asarray(derivatives[j])
-        by_step = [
-            (h, np.asarray(values[j]), np.asarray(half[j])) for h, values, half in differences
-        ]
-        difference, uncertainty, step = _extrapolate(by_step)
+    for j, (output, derivative) in enumerate(zip(OUTPUTS, derivatives, strict=True)):
+        side, difference, uncertainty, step = differences.nearest(derivative, j)
         size = max(np.linalg.norm(derivative), np.linalg.norm(difference))
         size = size if size > 0 else 1.0
         cotangents = [np.zeros(np.shape(d)) for d in derivatives]
@@ -188,55 +195,85 @@ def _compare(name: str, found: _Solves, inputs, tangents, rng) -> list[GradientR
             GradientRow(
                 name,
                 output,
-                float(np.linalg.norm(derivative)),
-                float(np.linalg.norm(difference)),
-                float(np.linalg.norm(derivative - difference) / size),
-                float(uncertainty / size),
-                step,
-                float(abs(reverse - forward) / (np.linalg.norm(cotangents[j]) * size)),
+                derivative=float(np.linalg.norm(derivative)),
+                difference=float(np.linalg.norm(difference)),
+                error=float(np.linalg.norm(derivative - difference) / size),
+                uncertainty=float(uncertainty / size),
+                step=step,
+                side=side,
+                transposed=float(abs(reverse - forward) / (np.linalg.norm(cotangents[j]) * size)),
             )
         )
     return rows
 
 
-def _differences(found: _Solves, inputs, tangents) -> list[tuple[float, Any, Any]]:
-    """Return difference quotients of the outputs with steps h and h/2, of second order both.
+class _Differences:
+    """Difference quotients of the outputs along one direction, of second order."""
 
-    Central ones; forward ones where the problem has no optimum on the other side, as with a
-    weight that would be negative.
-    """
+    def __init__(self, found: _Solves, inputs, tangents):
+        self._given = (found, inputs, tangents)
+        self._outputs: dict[float, Any] = {}
+        self._quotients: dict[str, list] = {}
 
-    def outputs(h):
-        values, solution = found.moved(inputs, tangents, jnp.asarray(h))  # a float would be static
-        return values if float(solution.gradient) < TIGHT else None
+    def nearest(self, derivative: np.ndarray, j: int) -> tuple[str, np.ndarray, float, float]:
+        """Return the side, value, uncertainty and step of the quotient of output j to compare.
 
-    def quotient(h):
-        ahead, behind = outputs(h), outputs(-h)
-        if ahead is None:
+        Central where both sides have an optimum and agree.
+        """
+        central = self._extrapolated("+-", j)
+        if central is not None:
+            _, value, uncertainty, _ = central
+            off = np.linalg.norm(value - derivative)
+            if off <= max(KINK * uncertainty, TRIFLE * np.linalg.norm(derivative)):
+                return central
+        sides = [self._extrapolated(side, j) for side in ("+", "-")]
+        known = [side for side in sides if side is not None]
+        if not known and central is None:
+            raise SolveError("check_gradients: no solve beside the optimum could be made tight")
+        if central is not None and not _differ(known):
+            return central
+        return min(known, key=lambda side: np.linalg.norm(side[1] - derivative))
+
+    def _at(self, h: float):
+        """Return the outputs after a step h, or None where no tight solve was to be had."""
+        if h not in self._outputs:
+            found, inputs, tangents = self._given
+            values, solution = found.moved(inputs, tangents, jnp.asarray(h))  # static, a float
+            tight = float(solution.gradient) < TIGHT
+            self._outputs[h] = [np.asarray(v) for v in values] if tight else None
+        return self._outputs[h]
+
+    def _quotient(self, side: str, h: float):
+        if side == "+-":
+            points, weights = (h, -h), (0.5, -0.5)
+        else:
+            h = h if side == "+" else -h
+            points, weights = (0.0, h, 2 * h), (-1.5, 2.0, -0.5)
+        values = [self._at(point) for point in points]
+        if any(value is None for value in values):
             return None
-        if behind is not None:
-            return tuple((a - b) / (2 * h) for a, b in zip(ahead, behind, strict=True))
-        here, further = outputs(0.0), outputs(2 * h)
-        if here is None or further is None:
-            return None
-        three = zip(here, ahead, further, strict=True)
-        return tuple((-3 * a + 4 * b - c) / (2 * h) for a, b, c in three)
+        parts = zip(*values, strict=True)
+        return [sum(w * v for w, v in zip(weights, part, strict=True)) / h for part in parts]
 
-    pairs = [(h, quotient(h), quotient(h / 2)) for h in STEPS]
-    kept = [(h, a, b) for h, a, b in pairs if a is not None and b is not None]
-    if not kept:
-        raise SolveError("check_gradients: no solve beside the optimum could be made tight")
-    return kept
+    def _extrapolated(self, side: str, j: int) -> tuple[str, np.ndarray, float, float] | None:
+        """Return Richardson's extrapolation where it changes least, that change, and the step."""
+        if side not in self._quotients:
+            pairs = [(h, self._quotient(side, h), self._quotient(side, h / 2)) for h in STEPS]
+            self._quotients[side] = [(h, a, b) for h, a, b in pairs if None not in (a, b)]
+        best, last = None, None
+        for h, a, b in self._quotients[side]:
+            value, change = b[j] + (b[j] - a[j]) / 3, np.linalg.norm(b[j] - a[j]) / 3
+            if last is not None:  # those of neighbouring steps should agree better
+                change = min(change, np.linalg.norm(value - last))
+            if best is None or change < best[2]:
+                best = (side, value, float(change), h)
+            last = value
+        return best
 
 
-def _extrapolate(quotients) -> tuple[np.ndarray, float, float]:
-    """Return Richardson's extrapolation where it changes least, that change, and the step."""
-    best = None
-    values = [(h, b + (b - a) / 3, np.linalg.norm(b - a) / 3) for h, a, b in quotients]
-    for i, (h, value, change) in enumerate(values):
-        if i > 0:  # the extrapolations of neighbouring steps should agree better than the quotients
-            change = min(change, np.linalg.norm(value - values[i - 1][1]))
-        if best is None or change < best[1]:
-            best = (value, float(change), h)
-    assert best is not None
-    return best
+def _differ(sides) -> bool:
+    """Tell whether the quotients of two sides differ by more than they are uncertain."""
+    if len(sides) < 2:
+        return False
+    (_, a, da, _), (_, b, db, _) = sides
+    return bool(np.linalg.norm(a - b) > KINK * (da + db))

@@ -21,7 +21,17 @@ def _by_name(name):
     return PROBLEMS[name]()
 
 
-# Few active bounds and many; muscles start at some activation, away from the kinks of their curves.
+def _active(bounds):
+    """Return a problem whose muscles neither start at rest nor get there.
+
+    At u = a the activation's time constant jumps, at v = 0 the slope of the force-velocity curve:
+    an optimum there has a derivative on either side.
+    """
+    problem, x0 = _with("muscle arm, posture", bounds)
+    return problem, x0.at[2:].set(jnp.array([0.3, -0.2] + 6 * [0.05]))
+
+
+# Few active bounds and many.
 CASES = {
     "pendulum": lambda: _by_name("pendulum"),
     "pendulum, few bounds": lambda: _with("pendulum", (-6.0, 6.0)),
@@ -30,8 +40,8 @@ CASES = {
     "torque arm, few bounds": lambda: _with("torque arm, reach", (-0.6, 0.6)),
     "torque arm, many bounds": lambda: _with("torque arm, reach", (-0.4, 0.4)),
     "torque arm, via": lambda: _by_name("torque arm, via"),
-    "muscle arm, posture": lambda: _by_name("muscle arm, posture"),
-    "muscle arm, many bounds": lambda: _with("muscle arm, posture", (0.03, 0.2)),
+    "muscle arm, few bounds": lambda: _active((0.01, 1.0)),
+    "muscle arm, many bounds": lambda: _active((0.03, 0.2)),
     "chain of 4": lambda: _by_name("chain of 4"),
     "chain of 4, few bounds": lambda: _with("chain of 4", (-0.5, 0.5)),
     "chain of 4, many bounds": lambda: _with("chain of 4", (-0.2, 0.2)),
@@ -179,3 +189,15 @@ def test_float32_derivatives_agree_with_float64_to_one_per_cent():
     for a, b in zip(got, wanted, strict=True):
         assert a.dtype == jnp.float32
         np.testing.assert_allclose(a, b, rtol=1e-2, atol=1e-2 * float(jnp.abs(b).max()))
+
+
+def test_a_control_that_just_meets_its_bound_is_compared_on_the_side_that_it_follows():
+    # The last force moves nothing but the velocity, which is free: 0 is its optimum, and its bound.
+    plant = jc.FunctionPlant(lambda x, u, t: jnp.array([x[1], u[0]]), nx=2, nu=1)
+    cost = jc.QuadraticCost(R=0.1, Qf=jnp.array([1.0, 0.0]))
+    bounds = (jnp.zeros(1), jnp.full(1, 9.0))
+    problem = jc.Problem(plant, cost, num_steps=20, dt=0.05, control_bounds=bounds)
+    report = jc.check_gradients(problem, TIGHT, [-1.0, 0.0], where=lambda name: "bounds" in name)
+    lower = [row for row in report.rows if row.name.endswith("[0]") and row.output == "us"]
+    assert [row.side for row in lower] == ["+"]
+    assert report.worst < 1e-8

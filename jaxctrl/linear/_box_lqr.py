@@ -38,6 +38,7 @@ def box_lqr(
     damping: ArrayLike = 0.0,
     *,
     side: Float[Array, "T nu"] | None = None,
+    hasty: ArrayLike = False,
     max_sweeps: int = 12,
 ) -> tuple[Sweep, Float[Array, "T nu"]]:
     """Minimise a local model's cost with all controls du in a box.
@@ -58,10 +59,12 @@ def box_lqr(
         side: first guess of the held set, shape (T, nu): -1 at the lower bound, 1 at the upper,
             0 free, NaN where what the gradient pushes against a bound is to be the guess, which is
             the default everywhere.
+        hasty: True asks for a single sweep with the guess, whose controls may leave the box.
         max_sweeps: limit of the iteration over sets.
 
     Returns: `Sweep`, whose law keeps du in the box on the model and whose gains are zero for held
-    controls, and the held set, as `side`. Its `settled` is False where neither method ended.
+    controls, and the `side` to begin with the next time: the held set, or what a single sweep
+    proposes; NaN where the sets cycled. `settled` is False where the sweep is not the minimiser.
     """
     gradient = costates(model)[1]
     box = Box(model, gradient, jnp.broadcast_to(damping, gradient.shape), lower, upper)
@@ -85,7 +88,8 @@ def box_lqr(
     )
 
     def unsettled(iterate: _Iterate):
-        return ~iterate.settled & iterate.ok.all() & (iterate.count < 2 * max_sweeps)
+        limit = jnp.where(hasty, 1, 2 * max_sweeps)
+        return ~iterate.settled & iterate.ok.all() & (iterate.count < limit)
 
     def body(iterate: _Iterate):
         cycling = iterate.count == max_sweeps
@@ -109,7 +113,7 @@ def box_lqr(
         k, last.K, gradient, last.curvature - box.damping, linear, quadratic,
         last.ok.all(), last_true(~last.ok), nonfinite(model, last.finite), last.settled | found,
     )  # fmt: skip
-    return sweep, last.side
+    return sweep, jnp.where(last.settled | hasty, last.following, jnp.nan)
 
 
 def _pushed(gradient: Array, lower: Array, upper: Array) -> Array:

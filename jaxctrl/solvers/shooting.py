@@ -22,6 +22,8 @@ LAM_SURE = 1e-3
 LONG, SHORT = 0.5, 0.07
 NEAR = 1.0
 """The projected gradient at which the exact second order, where wanted, replaces Gauss-Newton's."""
+CLOSE = 1e-2
+"""The projected gradient at which bounded models are solved exactly, not by one sweep."""
 
 
 class Tolerances(eqx.Module):
@@ -58,7 +60,7 @@ class ShootingState(eqx.Module):
         xs, us, cost: the trajectory, (T+1, nx) and (T, nu), and its cost.
         start_cost: the cost at the very start, the floor of the scale of costs.
         sweep: the law computed from the expansion there.
-        side: which controls the law holds at a bound: -1 lower, 1 upper, 0 free, NaN unknown.
+        side: which controls to hold first at a bound: -1 lower, 1 upper, 0 none, NaN unknown.
         measured: whether these have been computed at all.
         gradient: the relative projected gradient.
         round_off: what of a change of the cost is lost in rounding.
@@ -124,7 +126,7 @@ def init(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) ->
         cost=jnp.full((), jnp.nan, dtype),
         start_cost=number,
         sweep=sweep,
-        side=none,
+        side=jnp.full_like(none, jnp.nan),
         measured=jnp.array(False),
         gradient=jnp.full((), jnp.nan, dtype),
         round_off=number,
@@ -161,7 +163,9 @@ def step(problem: Problem, state: ShootingState, solver: "AbstractShooting") -> 
     model = expand(
         problem, trial.xs, trial.us, second_order=second if solver.second_order else False
     )
-    sweep, side = _law(model, state, lam, trial.us, bounds)
+    # Far from the optimum the exact minimiser of a model is not worth the sweeps that it takes.
+    hasty = ~((state.gradient <= CLOSE) | (state.measured & (fraction == 0)))
+    sweep, side = _law(model, state, lam, trial.us, bounds, hasty)
     start_cost = jnp.where(state.measured, state.start_cost, trial.cost)
     scale = cost_scale(trial.cost, start_cost)
     new = ShootingState(
@@ -184,15 +188,14 @@ def step(problem: Problem, state: ShootingState, solver: "AbstractShooting") -> 
     return eqx.tree_at(lambda s: s.status, new, _judge(problem, state, new, solver.tolerances))
 
 
-def _law(model, state: ShootingState, lam, us, bounds) -> tuple[Sweep, Array]:
+def _law(model, state: ShootingState, lam, us, bounds, hasty) -> tuple[Sweep, Array]:
     """Sweep through the model, damped by lambda times the last sweep's curvatures."""
     curvature = jnp.abs(state.sweep.curvature)
     damping = lam * jnp.maximum(curvature, 1e-3 * curvature.mean())
     if bounds is None:
         return lqr(model, damping), state.side
-    # The last held set is the best guess, except at the start and where the sets cycled.
-    guess = jnp.where(state.sweep.settled, state.side, jnp.nan)
-    return box_lqr(model, bounds[0] - us, bounds[1] - us, damping, side=guess)
+    lower, upper = bounds[0] - us, bounds[1] - us
+    return box_lqr(model, lower, upper, damping, side=state.side, hasty=hasty)
 
 
 def _schedule(state: ShootingState, fraction: Array, wanted: Array) -> tuple[Array, Array]:

@@ -244,6 +244,18 @@ def test_box_sweep_from_a_wrong_guess_finds_the_same_set():
     np.testing.assert_allclose(again.k, sweep.k, atol=1e-12)
 
 
+def test_hasty_box_sweeps_reach_the_exact_one_when_each_begins_where_the_last_ended():
+    model = random_model(10)
+    tight = jnp.full(model.lu.shape, 0.05)
+    whole, _ = box_lqr(model, -tight, tight)
+    side, settled = None, []
+    for _ in range(12):
+        sweep, side = box_lqr(model, -tight, tight, side=side, hasty=True)
+        settled.append(bool(sweep.settled))
+    assert not settled[0] and settled[-1]
+    np.testing.assert_allclose(sweep.k, whole.k, atol=1e-12)
+
+
 def test_box_sweep_cut_short_is_finished_by_the_interior_point():
     model = random_model(10)
     tight = jnp.full(model.lu.shape, 0.05)

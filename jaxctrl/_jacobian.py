@@ -25,10 +25,6 @@ _ELEMENTWISE = {
     "min", "mul", "ne", "neg", "not", "or", "pow", "rem", "round", "rsqrt", "select_n", "sign",
     "sin", "sinh", "sqrt", "square", "sub", "tan", "tanh", "xor",
 }  # fmt: skip
-_MOVING = {
-    "broadcast_in_dim", "concatenate", "expand_dims", "reshape", "rev", "slice", "split", "squeeze",
-    "transpose",
-}  # fmt: skip
 _REDUCING = {"reduce_sum", "reduce_max", "reduce_min", "reduce_prod", "reduce_and", "reduce_or"}
 _CONSTANT = {"iota", "stop_gradient"}
 
@@ -122,8 +118,7 @@ def dependence(function: Callable, x, *args) -> np.ndarray:
     closed = jax.make_jaxpr(function)(*shapes)
     m = shapes[0].shape[0]
     inputs = [np.eye(m, dtype=bool), *([None] * len(args))]
-    with jax.ensure_compile_time_eval():
-        out = _follow(closed.jaxpr, inputs, m)[0]
+    out = _follow(closed.jaxpr, inputs, m)[0]
     shape = (*closed.out_avals[0].shape, m)
     return np.zeros(shape, bool) if out is None else np.broadcast_to(out, shape)
 
@@ -156,7 +151,7 @@ def _through(equation: Any, given: list[np.ndarray | None], m: int) -> list[np.n
         return [np.any(parts, axis=0)]
     if name in _REDUCING:
         return [given[0].any(axis=tuple(params["axes"]))]  # pyright: ignore
-    if name in _MOVING and len(given) == len(equation.invars):
+    if name in _MOVING:
         return _moved(equation, given, m)
     if name == "dot_general":
         return [_product(equation, given, m)]
@@ -174,13 +169,36 @@ def _moved(equation: Any, given: list[np.ndarray | None], m: int) -> list[np.nda
     for var, g in zip(equation.invars, given, strict=True):
         shape = var.aval.shape
         size = int(np.prod(shape))
-        numbers.append(jnp.arange(count, count + size).reshape(shape))
+        numbers.append(np.arange(count, count + size).reshape(shape))
         tables.append(np.zeros((size, m), bool) if g is None else g.reshape(size, m))
         count += size
-    outs = equation.primitive.bind(*numbers, **equation.params)
     table = np.concatenate(tables)
-    outs = outs if equation.primitive.multiple_results else [outs]
-    return [table[np.asarray(out)] for out in outs]
+    return [table[out] for out in _MOVING[equation.primitive.name](equation.params, *numbers)]
+
+
+def _broadcast(params: dict[str, Any], a: np.ndarray) -> list[np.ndarray]:
+    shape, dims = params["shape"], params["broadcast_dimensions"]
+    sizes = [a.shape[dims.index(d)] if d in dims else 1 for d in range(len(shape))]
+    return [np.broadcast_to(a.reshape(sizes), shape)]
+
+
+def _slice(params: dict[str, Any], a: np.ndarray) -> list[np.ndarray]:
+    strides = params["strides"] or [1] * a.ndim
+    ranges = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
+    return [a[tuple(slice(*range) for range in ranges)]]
+
+
+# In NumPy: computed by JAX, each would be compiled for its shapes, at 20 ms.
+_MOVING = {
+    "broadcast_in_dim": _broadcast,
+    "concatenate": lambda params, *parts: [np.concatenate(parts, params["dimension"])],
+    "reshape": lambda params, a: [a.reshape(params["new_sizes"])],
+    "rev": lambda params, a: [np.flip(a, params["dimensions"])],
+    "slice": _slice,
+    "split": lambda params, a: np.split(a, np.cumsum(params["sizes"])[:-1], params["axis"]),
+    "squeeze": lambda params, a: [a.squeeze(params["dimensions"])],
+    "transpose": lambda params, a: [a.transpose(params["permutation"])],
+}
 
 
 def _product(equation: Any, given: list[np.ndarray | None], m: int) -> np.ndarray:

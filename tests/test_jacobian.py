@@ -61,6 +61,11 @@ def functions():
     def branched(x):
         return jax.lax.cond(x[0] > 0, lambda x: x[:2] ** 2, lambda x: x[1:], x)
 
+    def moved(x):
+        column = jnp.split(x.reshape(1, 3).T, [1])[1]
+        joined = jnp.concatenate([x[::2], column.squeeze(1), x[None, :2].swapaxes(0, 1)[::-1, 0]])
+        return joined * jnp.broadcast_to(x[1:2, None], (1, 6))[0]
+
     yield "product", lambda x: jnp.asarray(A) @ x
     yield "outer", lambda x: jnp.outer(x, x[:2]).ravel()
     yield "sorted", lambda x: jnp.sort(x)
@@ -69,6 +74,7 @@ def functions():
     yield "loop", looped
     yield "branch", branched
     yield "reversed", lambda x: jnp.flip(x).at[0].set(x[0])
+    yield "moved", moved
     yield "constant", lambda x: jnp.ones(2)
     yield "reduced", lambda x: jnp.stack([x[:2].max(), jnp.prod(x), jnp.linalg.norm(x[1:])])
     yield "batched", lambda x: jnp.einsum("bij,bj->bi", x.reshape(1, 1, 3) * A[None], x[None])[0]

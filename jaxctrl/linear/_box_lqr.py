@@ -7,28 +7,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from .._types import LocalModel
-from ._interior_point import Box, InteriorPoint, interior_point
-from ._riccati import Sweep, costates, factorise, last_true, nonfinite, solve_factorised
+from ._interior_point import Box, InteriorPoint, advance, barrier, begin, held, select
+from ._riccati import Held, Sweep, costates, held_lqr, last_true, nonfinite
 
 
 class _Iterate(NamedTuple):
-    """A point, the sides that led to it, gains, what comes next, and an interior point.
+    """The last sweep, the sides that it held and those to be held next, and an interior point."""
 
-    `interior` is the point and slope that the interior-point method found, and whether it did.
-    """
-
-    dxs: Float[Array, "T+1 nx"]
-    dus: Float[Array, "T nu"]
-    slope: Float[Array, "T nu"]
+    last: Held
     side: Float[Array, "T nu"]
     following: Float[Array, "T nu"]
-    K: Float[Array, "T nu nx"]
-    curvature: Float[Array, "T nu"]
-    ok: Bool[Array, " T"]
-    finite: Bool[Array, " T"]
     settled: Bool[Array, ""]
     count: Int[Array, ""]
-    interior: tuple[Array, Array, Array, Array]
+    interior: InteriorPoint
 
 
 def box_lqr(
@@ -38,7 +29,6 @@ def box_lqr(
     damping: ArrayLike = 0.0,
     *,
     side: Float[Array, "T nu"] | None = None,
-    hasty: ArrayLike = False,
     max_sweeps: int = 12,
 ) -> tuple[Sweep, Float[Array, "T nu"]]:
     """Minimise a local model's cost with all controls du in a box.
@@ -49,8 +39,8 @@ def box_lqr(
     Choosing each step's k in the box by itself (Tassa, Mansard & Todorov 2014) is not: there the
     feedback K dx leaves the box, which costs iterations when bounds bind hard.
 
-    The sets may cycle. After `max_sweeps`, an interior-point method gives them a new start, or,
-    should they cycle again, the result.
+    The sets may cycle. After `max_sweeps`, an interior-point method, whose steps are sweeps too,
+    gives them a new start, or, should they cycle again, the result.
 
     Arguments:
         model: local expansion; every array but the last two leads with time.
@@ -59,110 +49,96 @@ def box_lqr(
         side: first guess of the held set, shape (T, nu): -1 at the lower bound, 1 at the upper,
             0 free, NaN where what the gradient pushes against a bound is to be the guess, which is
             the default everywhere.
-        hasty: True asks for a single sweep with the guess, whose controls may leave the box.
         max_sweeps: limit of the iteration over sets.
 
     Returns: `Sweep`, whose law keeps du in the box on the model and whose gains are zero for held
-    controls, and the `side` to begin with the next time: the held set, or what a single sweep
-    proposes; NaN where the sets cycled. `settled` is False where the sweep is not the minimiser.
+    controls, and the held set, as `side`, NaN where the sets cycled. `settled` is False where
+    neither method ended.
     """
-    gradient = costates(model)[1]
-    box = Box(model, gradient, jnp.broadcast_to(damping, gradient.shape), lower, upper)
-    side = jnp.full_like(gradient, jnp.nan) if side is None else side
-    side = jnp.where(jnp.isnan(side), _pushed(gradient, lower, upper), side)
-    none, every = jnp.zeros_like(gradient), jnp.ones(len(gradient), bool)
-    dxs = jnp.zeros((len(gradient) + 1, model.vx.size), none.dtype)
-    start = _Iterate(
-        dxs=dxs,
-        dus=none,
-        slope=none,
-        side=side,
-        following=side,
-        K=jnp.zeros((*none.shape, model.vx.size), none.dtype),
-        curvature=none,
-        ok=every,
-        finite=every,
-        settled=jnp.array(False),
-        count=jnp.array(0),
-        interior=(dxs, none, none, jnp.array(False)),
+    lower, upper = jnp.asarray(lower), jnp.asarray(upper)
+    box = Box(model, jnp.broadcast_to(damping, lower.shape), lower, upper)
+    given = jnp.full_like(lower, jnp.nan) if side is None else side
+    unknown = jnp.isnan(given)
+    first = jax.lax.cond(
+        unknown.any(), lambda: jnp.where(unknown, _pushed(box), given), lambda: given
     )
 
     def unsettled(iterate: _Iterate):
-        limit = jnp.where(hasty, 1, 2 * max_sweeps)
-        return ~iterate.settled & iterate.ok.all() & (iterate.count < limit)
+        return ~iterate.settled & iterate.last.ok.all() & (iterate.count < 2 * max_sweeps)
 
     def body(iterate: _Iterate):
-        cycling = iterate.count == max_sweeps
-        # Under vmap both branches are computed: a lane that does not cycle must not iterate there.
-        restart = jax.lax.cond(
-            cycling, lambda it: _restart(box, it, cycling), lambda it: it, iterate
-        )
-        return _active_set(box, restart)
+        return _sweep(box, iterate, (iterate.count == max_sweeps) & ~iterate.interior.done)
 
-    last = jax.lax.while_loop(unsettled, body, start)
-    found = last.interior[3]
-    dxs, dus, slope = (
-        jnp.where(last.settled | ~found, own, interior)
-        for own, interior in zip(last[:3], last.interior[:3], strict=True)
-    )
+    end = jax.lax.while_loop(unsettled, body, _start(box, first))
+    last, point = end.last, end.interior
+    dxs, dus, slope = select(end.settled | ~point.settled, last[:3], point[:3])
     # The law that leads to these controls on the model.
-    k = dus - jnp.einsum("tij,tj->ti", last.K, dxs[:-1])
-    linear = jnp.sum(gradient * dus)
-    quadratic = box.change(dus, slope) - linear
+    k = dus - jnp.sum(last.K * dxs[:-1, None, :], axis=2)
+    linear = jnp.sum(last.gradient * dus)
+    change = 0.5 * jnp.sum((last.gradient + slope) * dus)
+    settled = end.settled | point.settled
     sweep = Sweep(
-        k, last.K, gradient, last.curvature - box.damping, linear, quadratic,
-        last.ok.all(), last_true(~last.ok), nonfinite(model, last.finite), last.settled | found,
+        k, last.K, last.gradient, last.curvature - box.damping, linear, change - linear,
+        last.ok.all(), last_true(~last.ok), nonfinite(model, last.finite), settled,
     )  # fmt: skip
-    return sweep, jnp.where(last.settled | hasty, last.following, jnp.nan)
+    return sweep, jnp.where(end.settled, end.side, jnp.nan)
 
 
-def _pushed(gradient: Array, lower: Array, upper: Array) -> Array:
+def _start(box: Box, side: Array) -> _Iterate:
+    none, every = jnp.zeros_like(side), jnp.ones(len(side), bool)
+    dxs = jnp.zeros((len(side) + 1, box.model.vx.size), side.dtype)
+    K = jnp.zeros((*side.shape, box.model.vx.size), side.dtype)
+    last = Held(dxs, none, none, K, none, none, every, every)
+    interior = begin(box, none, jnp.zeros((), side.dtype))
+    return _Iterate(last, side, side, jnp.array(False), jnp.array(0), interior)
+
+
+def _pushed(box: Box) -> Array:
     """Return what the gradient at du = 0 pushes against a bound: -1 lower, 1 upper, 0 neither."""
-    at_upper = jnp.where((upper <= 0) & (gradient < 0), 1.0, 0.0)
-    return jnp.where((lower >= 0) & (gradient > 0), -1.0, at_upper).astype(gradient.dtype)
+    gradient = costates(box.model)[1]
+    at_upper = jnp.where((box.upper <= 0) & (gradient < 0), 1.0, 0.0)
+    return jnp.where((box.lower >= 0) & (gradient > 0), -1.0, at_upper).astype(gradient.dtype)
 
 
-def _restart(box: Box, iterate: _Iterate, wanted: Bool[Array, ""]) -> _Iterate:
-    """Propose the set that holds at the interior-point method's solution."""
-    point = interior_point(box, jnp.max(jnp.abs(iterate.dus)), wanted)
-    return iterate._replace(
-        following=_held(iterate, point, box),
-        interior=(point.dxs, point.dus, point.slope, point.settled),
-    )
+def _sweep(box: Box, iterate: _Iterate, inside: Bool[Array, ""]) -> _Iterate:
+    """Sweep once: with the proposed set held, or, `inside`, to the interior point's next step."""
+    side, none = iterate.following, jnp.zeros_like(iterate.following)
+
+    def prepare():
+        first = begin(box, iterate.last.gradient, jnp.max(jnp.abs(iterate.last.dus)))
+        point = select(iterate.interior.count == 0, first, iterate.interior)
+        return point, *barrier(box, point), box.movable, box.lower
+
+    def propose():
+        value = jnp.where(side < 0, box.lower, box.upper)
+        return iterate.interior, none, none, side == 0, value
+
+    point, weight, extra, free, value = jax.lax.cond(inside, prepare, propose)
+    step = held_lqr(box.model, free, value, box.damping + weight, extra)
+
+    def approach():
+        further = advance(box, point, step)
+        ended = jnp.where(further.settled, held(further, step.curvature - weight), side)
+        return further, iterate.side, ended, jnp.array(False)
+
+    def judge():
+        following = _following(box, step, side)
+        return point, side, following, (following == side).all()
+
+    point, side, following, settled = jax.lax.cond(inside, approach, judge)
+    # A step inside that fails does not end the search over sets.
+    step = step._replace(ok=step.ok | inside)
+    return _Iterate(step, side, following, settled, iterate.count + ~inside, point)
 
 
-def _held(iterate: _Iterate, point: InteriorPoint, box: Box) -> Array:
-    """Return the side of each control whose multiplier outweighs its distance from the bound."""
-    D = jnp.maximum(iterate.curvature, 0.0)
-    at_lower = point.lower_multiplier > D * (point.dus - box.lower)
-    at_upper = point.upper_multiplier > D * (box.upper - point.dus)
-    return jnp.where(at_lower, -1.0, jnp.where(at_upper, 1.0, 0.0)).astype(D.dtype)
-
-
-def _active_set(box: Box, iterate: _Iterate) -> _Iterate:
-    """Solve with the proposed set held, then propose the next one."""
-    lower, upper, side = box.lower, box.upper, iterate.following
-    problem = factorise(box.model, side == 0, box.damping)
-    held = jnp.where(side < 0, lower, upper)
-    dxs, dus = solve_factorised(problem, box.gradient, held)
-    slope = box.slope(dxs, dus)
-    # In float32 a badly scaled law is too coarse to tell which multipliers push inwards.
-    for _ in range(0 if dus.dtype == jnp.float64 else 2):
-        more = solve_factorised(problem, slope, jnp.zeros_like(held))
-        dxs, dus = dxs + more[0], dus + more[1]
-        slope = box.slope(dxs, dus)
-
+def _following(box: Box, step: Held, side: Array) -> Array:
+    """Hold what left the box, and release what its multiplier pushes inwards."""
+    lower, upper, dus = box.lower, box.upper, step.dus
     # What is in the box and pushed nowhere keeps its place.
     eps = jnp.finfo(dus.dtype).eps
     scale = jnp.maximum(jnp.abs(lower), jnp.abs(upper))
     room = 10 * eps * jnp.where(jnp.isfinite(scale), scale, 0.0)
-    curvature = jnp.diagonal(problem.Quu, axis1=1, axis2=2)
-    noise = 100 * eps * curvature * jnp.maximum(jnp.abs(dus).max(), room)
+    noise = 100 * eps * step.curvature * jnp.maximum(jnp.abs(dus).max(), room)
     left = jnp.where(dus < lower - room, -1.0, jnp.where(dus > upper + room, 1.0, 0.0))
-    stays = ((side < 0) & (slope > -noise)) | ((side > 0) & (slope < noise))
-    following = jnp.where(side == 0, left, side * stays)
-    settled = (following == side).all()
-    return _Iterate(
-        dxs, dus, slope, side, following, problem.K, curvature, problem.ok, problem.finite,
-        settled, iterate.count + 1, iterate.interior,
-    )  # fmt: skip
+    stays = ((side < 0) & (step.slope > -noise)) | ((side > 0) & (step.slope < noise))
+    return jnp.where(side == 0, left, side * stays)

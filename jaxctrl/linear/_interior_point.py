@@ -1,10 +1,11 @@
-"""A linear-quadratic problem with bounds on the controls, by a primal-dual interior-point method.
+"""Steps of a primal-dual interior-point method for a model with its controls in a box.
 
     minimise q(d), lower <= d <= upper, with slacks sL = d - lower, sU = upper - d and multipliers
     zL, zU:        q'(d) - zL + zU = 0,     sL zL = sU zU = mu -> 0
 
-Eliminating the multipliers of a Newton step adds zL/sL + zU/sU to the diagonal of each l_uu: one
-Riccati sweep per step, and a second, cheap one for Mehrotra's (1992) corrector.
+The slacks are unknowns of their own, so that any d may start (Wright 1997, ch. 10). Without slacks
+and multipliers, a Newton step minimises q(d) + extra'd + d'W d/2 with W = zL/sL + zU/sU: one
+Riccati sweep, with a larger damping.
 """
 
 from typing import NamedTuple
@@ -14,137 +15,154 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._types import LocalModel
-from ._riccati import factorise, hessian_product, lqr_rollout, solve_factorised
+from ._riccati import Held
 
 TO_BOUNDARY = 0.995
 """The fraction of the way to the nearest bound that a step may go."""
+MAX_STEPS = 40
+
+
+class Box(NamedTuple):
+    """A model with its damping and the bounds of its controls, each (T, nu)."""
+
+    model: LocalModel
+    damping: Float[Array, "T nu"]
+    lower: Float[Array, "T nu"]
+    upper: Float[Array, "T nu"]
+
+    @property
+    def movable(self) -> Bool[Array, "T nu"]:
+        """Which controls have any room, (T, nu)."""
+        return self.upper > self.lower
+
+    @property
+    def sides(self) -> tuple[Array, Array, Array, Array]:
+        """The bounds, 0 where there is none to keep, and where there is one, each (T, nu)."""
+        has_lower = jnp.isfinite(self.lower) & self.movable
+        has_upper = jnp.isfinite(self.upper) & self.movable
+        lower = jnp.where(has_lower, self.lower, 0.0)
+        return lower, jnp.where(has_upper, self.upper, 0.0), has_lower, has_upper
 
 
 class InteriorPoint(NamedTuple):
-    """A point strictly inside the box, and how good it is.
+    """A point with its slacks and multipliers, and how far the method has got.
 
-    States dxs (T+1, nx), controls dus, the gradient of the model there and the multipliers of both
-    bounds, each (T, nu).
+    States dxs (T+1, nx), controls dus and the model's gradient there, (T, nu); slacks, 1 where
+    there is no bound, and multipliers, 0 there, (T, nu). `length` is that of the last step, `done`
+    tells whether there is to be no other, `settled` whether this is the minimiser.
     """
 
     dxs: Float[Array, "T+1 nx"]
     dus: Float[Array, "T nu"]
     slope: Float[Array, "T nu"]
+    lower_slack: Float[Array, "T nu"]
+    upper_slack: Float[Array, "T nu"]
     lower_multiplier: Float[Array, "T nu"]
     upper_multiplier: Float[Array, "T nu"]
+    length: Float[Array, ""]
+    done: Bool[Array, ""]
     settled: Bool[Array, ""]
-    ok: Bool[Array, ""]
     count: Int[Array, ""]
 
 
-class Box(NamedTuple):
-    """A model with its gradient at zero and its damping, and the bounds, each (T, nu)."""
-
-    model: LocalModel
-    gradient: Float[Array, "T nu"]
-    damping: Float[Array, "T nu"]
-    lower: Float[Array, "T nu"]
-    upper: Float[Array, "T nu"]
-
-    def slope(self, dxs: Array, dus: Array) -> Array:
-        """Return the gradient of the damped model (T, nu) at dus (T, nu), which lead to dxs."""
-        return self.gradient + hessian_product(self.model, dxs, dus) + self.damping * dus
-
-    def change(self, dus: Array, slope: Array) -> Array:
-        """Return the change of the damped model's cost at dus, where it has that slope."""
-        return 0.5 * jnp.sum((self.gradient + slope) * dus)
-
-
-def interior_point(
-    box: Box, scale: Float[Array, ""], wanted: Bool[Array, ""], max_sweeps: int = 30
-) -> InteriorPoint:
-    """Minimise a convex local model's cost with all controls du in a box.
+def begin(box: Box, gradient: Float[Array, "T nu"], scale: Float[Array, ""]) -> InteriorPoint:
+    """Return the first point, du = 0.
 
     Arguments:
         box: the model and the bounds on du, lower <= 0 <= upper, perhaps infinite or equal.
+        gradient: of the model at 0, (T, nu).
         scale: the size of a typical du, where a control has but one bound.
-        wanted: False returns at once.
-        max_sweeps: limit of the iteration.
-
-    Returns: `InteriorPoint`; `settled` when the duality gap is below eps^0.4 of the reduction of
-    the model's cost, `ok` unless a sweep met a Hessian that is not positive definite.
     """
-    lower, upper, has_lower, has_upper, movable = _sides(box)
-    width = jnp.where(jnp.isfinite(box.lower) & jnp.isfinite(box.upper), upper - lower, scale)
-    inside = jnp.clip(0.0, box.lower + 0.1 * width, box.upper - 0.1 * width)
-    dus = jnp.where(movable, inside, lower)
-    K = jnp.zeros((*dus.shape, box.model.vx.size), dus.dtype)
-    dxs, _ = lqr_rollout(box.model, dus, K, jnp.zeros_like(box.model.vx))
-    slope = box.slope(dxs, dus)
-    typical = jnp.mean(jnp.abs(slope), axis=0) + jnp.finfo(slope.dtype).tiny
-    start = InteriorPoint(
-        dxs,
-        dus,
-        slope,
-        jnp.where(has_lower, jnp.maximum(slope, 0.0) + typical, 0.0),
-        jnp.where(has_upper, jnp.maximum(-slope, 0.0) + typical, 0.0),
-        jnp.array(False),
-        jnp.array(True),
-        jnp.array(0),
-    )
-
-    def unfinished(point: InteriorPoint):
-        return wanted & ~point.settled & point.ok & (point.count < max_sweeps)
-
-    return jax.lax.while_loop(unfinished, lambda point: _step(box, point), start)
-
-
-def _sides(box: Box) -> tuple[Array, ...]:
-    """Return the bounds, 0 where infinite, where they exist, and which controls can move."""
-    movable = box.upper > box.lower
-    finite_lower, finite_upper = jnp.isfinite(box.lower), jnp.isfinite(box.upper)
-    lower = jnp.where(finite_lower, box.lower, 0.0)
-    upper = jnp.where(finite_upper, box.upper, 0.0)
-    return lower, upper, finite_lower & movable, finite_upper & movable, movable
-
-
-def _step(box: Box, point: InteriorPoint) -> InteriorPoint:
-    """Take one step of Mehrotra's predictor and corrector."""
-    dxs, dus, slope, zL, zU = point[:5]
-    lower, upper, has_lower, has_upper, movable = _sides(box)
-    sL = jnp.where(has_lower, dus - lower, 1.0)
-    sU = jnp.where(has_upper, upper - dus, 1.0)
-    problem = factorise(box.model, movable, box.damping + zL / sL + zU / sU)
-
-    def solve(centre, across_lower, across_upper):
-        """Solve for the step with products sL zL = centre - across_lower, and likewise above."""
-        to_lower = jnp.where(has_lower, (centre - across_lower) / sL, 0.0)
-        to_upper = jnp.where(has_upper, (centre - across_upper) / sU, 0.0)
-        dx, d = solve_factorised(problem, slope - to_lower + to_upper, jnp.zeros_like(dus))
-        return dx, d, to_lower - zL - zL / sL * d, to_upper - zU + zU / sU * d
-
-    def longest(d, dzL, dzU, fraction):
-        """Return the longest step that keeps slacks and multipliers positive, at most 1."""
-        rates = jnp.stack([-d / sL, d / sU, -dzL / zL, -dzU / zU])
-        there = jnp.stack([has_lower, has_upper] * 2)
-        return 1.0 / jnp.maximum(1.0, jnp.max(jnp.where(there, rates, 0.0)) / fraction)
-
-    def mean(d, dzL, dzU, fraction):
-        """Return the mean product of slack and multiplier after a fraction of a step."""
-        low = (sL + fraction * d) * (zL + fraction * dzL) * has_lower
-        high = (sU - fraction * d) * (zU + fraction * dzU) * has_upper
-        return jnp.sum(low + high) / jnp.maximum(jnp.sum(has_lower) + jnp.sum(has_upper), 1)
-
-    affine = solve(0.0, 0.0, 0.0)[1:]
-    mu = mean(*affine, 0.0)
-    centring = (mean(*affine, longest(*affine, 1.0)) / jnp.where(mu > 0, mu, 1.0)) ** 3
-    step = solve(centring * mu, affine[0] * affine[1], -affine[0] * affine[2])
-    fraction = longest(*step[1:], TO_BOUNDARY)
-    good = problem.ok.all() & jnp.isfinite(step[1]).all()
-    old = (dxs, dus, zL, zU)
-    dxs, dus, zL, zU = (
-        jnp.where(good, a + fraction * b, a) for a, b in zip(old, step, strict=True)
-    )
-    slope = box.slope(dxs, dus)
-    gap = jnp.sum(jnp.where(has_lower, (dus - lower) * zL, 0.0))
-    gap += jnp.sum(jnp.where(has_upper, (upper - dus) * zU, 0.0))
-    residual = jnp.sum(jnp.abs(jnp.where(movable, (slope - zL + zU) * dus, 0.0)))
-    small = jnp.finfo(dus.dtype).eps ** 0.4 * jnp.abs(box.change(dus, slope))
+    lower, upper, has_lower, has_upper = box.sides
+    width = jnp.where(has_lower & has_upper, upper - lower, scale)
+    typical = jnp.mean(jnp.abs(gradient), axis=0) + jnp.finfo(gradient.dtype).tiny
+    zero = jnp.zeros_like(gradient)
     return InteriorPoint(
-        dxs, dus, slope, zL, zU, good & (gap + residual <= small), good, point.count + 1
+        dxs=jnp.zeros((len(gradient) + 1, box.model.vx.size), gradient.dtype),
+        dus=zero,
+        slope=gradient,
+        lower_slack=jnp.where(has_lower, jnp.maximum(-lower, 0.1 * width), 1.0),
+        upper_slack=jnp.where(has_upper, jnp.maximum(upper, 0.1 * width), 1.0),
+        lower_multiplier=jnp.where(has_lower, jnp.maximum(gradient, 0.0) + typical, 0.0),
+        upper_multiplier=jnp.where(has_upper, jnp.maximum(-gradient, 0.0) + typical, 0.0),
+        length=jnp.full((), 0.5, gradient.dtype),
+        done=jnp.array(False),
+        settled=jnp.array(False),
+        count=jnp.array(0),
     )
+
+
+def _targets(box: Box, point: InteriorPoint) -> tuple[Array, Array, Array]:
+    """Return the product of slack and multiplier to aim at, and both slacks' errors."""
+    lower, upper, has_lower, has_upper = box.sides
+    products = point.lower_slack * point.lower_multiplier
+    products += point.upper_slack * point.upper_multiplier
+    mean = jnp.sum(products) / jnp.maximum(jnp.sum(has_lower) + jnp.sum(has_upper), 1)
+    # The last step's length tells how central the point is.
+    centre = jnp.clip((1 - 0.9 * point.length) ** 2, 0.01, 0.8) * mean
+    off_lower = jnp.where(has_lower, point.dus - lower - point.lower_slack, 0.0)
+    return centre, off_lower, jnp.where(has_upper, upper - point.dus - point.upper_slack, 0.0)
+
+
+def barrier(box: Box, point: InteriorPoint) -> tuple[Float[Array, "T nu"], Float[Array, "T nu"]]:
+    """Return what a Newton step adds to the damping and to the linear terms, each (T, nu)."""
+    centre, off_lower, off_upper = _targets(box, point)
+    _, _, has_lower, has_upper = box.sides
+    stiff_lower = point.lower_multiplier / point.lower_slack
+    stiff_upper = point.upper_multiplier / point.upper_slack
+    extra = jnp.where(has_lower, stiff_lower * off_lower - centre / point.lower_slack, 0.0)
+    extra -= jnp.where(has_upper, stiff_upper * off_upper - centre / point.upper_slack, 0.0)
+    return stiff_lower + stiff_upper, extra - (stiff_lower + stiff_upper) * point.dus
+
+
+def advance(box: Box, point: InteriorPoint, step: Held) -> InteriorPoint:
+    """Go towards a Newton step's end, as far as slacks and multipliers stay positive.
+
+    Ends when the duality gap and the residuals are below eps^0.4 of the reduction of the model's
+    cost, when the step failed, and after `MAX_STEPS`.
+    """
+    sL, sU, zL, zU = point[3:7]
+    centre, off_lower, off_upper = _targets(box, point)
+    _, _, has_lower, has_upper = box.sides
+    weight, extra = barrier(box, point)
+    d = step.dus - point.dus
+    dsL, dsU = (d + off_lower) * has_lower, (off_upper - d) * has_upper
+    dzL = jnp.where(has_lower, (centre - zL * dsL) / sL - zL, 0.0)
+    dzU = jnp.where(has_upper, (centre - zU * dsU) / sU - zU, 0.0)
+    tiny = jnp.finfo(d.dtype).tiny
+    rates = jnp.stack([-dsL / sL, -dsU / sU, -dzL / (zL + tiny), -dzU / (zU + tiny)])
+    length = 1.0 / jnp.maximum(1.0, jnp.max(rates) / TO_BOUNDARY)
+    good = step.ok.all() & jnp.isfinite(step.dus).all()
+    length = jnp.where(good, length, 0.0)
+    slope = step.slope - extra - weight * step.dus
+    ends = (step.dxs, step.dus, slope, sL + dsL, sU + dsU, zL + dzL, zU + dzU)
+    dxs, dus, slope, sL, sU, zL, zU = (
+        jnp.where(good, old + length * (new - old), old)
+        for old, new in zip(point[:7], ends, strict=True)
+    )
+    _, off_lower, off_upper = _targets(box, point._replace(dus=dus, lower_slack=sL, upper_slack=sU))
+    gap = jnp.sum(zL * (sL + jnp.abs(off_lower)) + zU * (sU + jnp.abs(off_upper)))
+    residual = jnp.sum(jnp.abs((slope - zL + zU) * dus) * box.movable)
+    change = 0.5 * jnp.sum((step.gradient + slope) * dus)
+    settled = good & (gap + residual <= jnp.finfo(d.dtype).eps ** 0.4 * jnp.abs(change))
+    count = point.count + 1
+    done = settled | ~good | (count >= MAX_STEPS)
+    return InteriorPoint(dxs, dus, slope, sL, sU, zL, zU, length, done, settled, count)
+
+
+def held(point: InteriorPoint, curvature: Float[Array, "T nu"]) -> Float[Array, "T nu"]:
+    """Return the side of each control whose multiplier outweighs its distance from the bound.
+
+    Arguments: a point, and the diagonal of each Q_uu of the model, (T, nu).
+
+    Returns: -1, 0 or 1, (T, nu).
+    """
+    D = jnp.maximum(curvature, 0.0)
+    at_lower = point.lower_multiplier > D * point.lower_slack
+    at_upper = point.upper_multiplier > D * point.upper_slack
+    return jnp.where(at_lower, -1.0, jnp.where(at_upper, 1.0, 0.0)).astype(D.dtype)
+
+
+def select(condition: Bool[Array, ""], a, b):
+    """Return the first of two pytrees where a condition holds, else the second."""
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)

@@ -144,6 +144,88 @@ def _value(Vxx, Qxx, Qux, K, stage) -> Array:
     return symmetrise(lxx + 2 * across + matmul(F.T, matmul(Vxx, F)))
 
 
+class Held(NamedTuple):
+    """The minimiser of a damped model with some controls held, and what it took.
+
+    Gains K, zero for held controls; states dxs (T+1, nx) and controls dus; `slope`, the gradient
+    there, zero for free controls, and `gradient`, that of the model at zero; `curvature`, the
+    diagonal of each Q_uu with its damping. `ok` and `finite` are those of each step.
+    """
+
+    dxs: Float[Array, "T+1 nx"]
+    dus: Float[Array, "T nu"]
+    slope: Float[Array, "T nu"]
+    K: Float[Array, "T nu nx"]
+    gradient: Float[Array, "T nu"]
+    curvature: Float[Array, "T nu"]
+    ok: Bool[Array, " T"]
+    finite: Bool[Array, " T"]
+
+
+def held_lqr(
+    model: LocalModel,
+    free: Bool[Array, "T nu"],
+    held: Float[Array, "T nu"],
+    damping: Float[Array, "T nu"],
+    extra: ArrayLike = 0.0,
+) -> Held:
+    """Minimise a damped model in its free controls, from dx_0 = 0, by one sweep and a roll-out.
+
+    Arguments:
+        model: local expansion.
+        free, held: which controls may move, and the values of the others, (T, nu).
+        damping: as in `lqr`, (T, nu).
+        extra: added to the linear terms of the controls, (T, nu).
+
+    Returns: `Held`. Where a step is not strictly convex in its free controls these stay put.
+    """
+    extra = jnp.broadcast_to(extra, held.shape)
+    identity = jnp.eye(held.shape[1], dtype=held.dtype)
+
+    def back(carry, stage):
+        # Columns: V_x, and the costate.
+        ahead, Vxx = carry
+        fx, fu, lx, lu, lxx, lux, luu, d, free, held, extra = stage
+        luu = _add_diagonal(luu, d)
+        Qxx, Qux, Quu = _quadratic(Vxx, fx, fu, lxx, lux, luu)
+        Qv = lu[:, None] + matmul(fu.T, ahead)
+        Qu, gradient = Qv[:, 0] + extra, Qv[:, 1]
+        kept = jnp.where(free, 0.0, held)
+        both = free[:, None] & free[None, :]
+        rhs = jnp.concatenate([(Qu + matmul(Quu, kept))[:, None], Qux], axis=1)
+        solved, ok = solve_positive(
+            jnp.where(both, Quu, identity), jnp.where(free[:, None], rhs, 0.0)
+        )
+        solved = jnp.where(ok, -solved, 0.0)
+        k, K = kept + solved[:, 0], solved[:, 1:]
+        before = lx[:, None] + matmul(fx.T, ahead)
+        Vx = before[:, 0] + matmul(Qux.T, k) + matmul(K.T, Qu + matmul(Quu, k))
+        Vxx = _value(Vxx, Qxx, Qux, K, (fx, fu, lxx, lux, luu))
+        finite = jnp.isfinite(jnp.sum(Vx) + jnp.trace(Vxx))
+        out = (k, Qu, Qux, Quu, K, gradient, ok, finite)
+        return (jnp.stack([Vx, before[:, 1]], axis=1), Vxx), out
+
+    start = (jnp.stack([model.vx] * 2, axis=1), model.vxx)
+    stages = (*model[:-2], damping, free, held, extra)
+    swept = jax.lax.scan(back, start, stages, reverse=True)[1]
+    k, Qu, Qux, Quu, K, gradient, ok, finite = swept
+
+    def ahead(dx, stage):
+        fx, fu, k, Qu, Qux, Quu, K, free = stage
+        du = k + matmul(K, dx)
+        slope = jnp.where(free, 0.0, Qu + matmul(Qux, dx) + matmul(Quu, du))
+        after = matmul(fx, dx) + matmul(fu, du)
+        return after, (after, du, slope)
+
+    origin = jnp.zeros_like(model.vx)
+    _, (dxs, dus, slope) = jax.lax.scan(
+        ahead, origin, (model.fx, model.fu, k, Qu, Qux, Quu, K, free)
+    )
+    dxs = jnp.concatenate([origin[None], dxs])
+    curvature = jnp.diagonal(Quu, axis1=1, axis2=2)
+    return Held(dxs, dus, slope, K, gradient, curvature, ok, finite)
+
+
 class FreeLQR(NamedTuple):
     """A factorised linear-quadratic problem in the free controls; see `factorise`."""
 

@@ -22,8 +22,6 @@ LAM_SURE = 1e-3
 LONG, SHORT = 0.5, 0.07
 NEAR = 1.0
 """The projected gradient at which the exact second order, where wanted, replaces Gauss-Newton's."""
-CLOSE = 1e-2
-"""The projected gradient at which bounded models are solved exactly, not by one sweep."""
 
 
 class Tolerances(eqx.Module):
@@ -163,9 +161,7 @@ def step(problem: Problem, state: ShootingState, solver: "AbstractShooting") -> 
     model = expand(
         problem, trial.xs, trial.us, second_order=second if solver.second_order else False
     )
-    # Far from the optimum the exact minimiser of a model is not worth the sweeps that it takes.
-    hasty = ~((state.gradient <= CLOSE) | (state.measured & (fraction == 0)))
-    sweep, side = _law(model, state, lam, trial.us, bounds, hasty)
+    sweep, side = _law(model, state, lam, trial.us, bounds)
     start_cost = jnp.where(state.measured, state.start_cost, trial.cost)
     scale = cost_scale(trial.cost, start_cost)
     new = ShootingState(
@@ -188,14 +184,14 @@ def step(problem: Problem, state: ShootingState, solver: "AbstractShooting") -> 
     return eqx.tree_at(lambda s: s.status, new, _judge(problem, state, new, solver.tolerances))
 
 
-def _law(model, state: ShootingState, lam, us, bounds, hasty) -> tuple[Sweep, Array]:
+def _law(model, state: ShootingState, lam, us, bounds) -> tuple[Sweep, Array]:
     """Sweep through the model, damped by lambda times the last sweep's curvatures."""
     curvature = jnp.abs(state.sweep.curvature)
     damping = lam * jnp.maximum(curvature, 1e-3 * curvature.mean())
     if bounds is None:
         return lqr(model, damping), state.side
     lower, upper = bounds[0] - us, bounds[1] - us
-    return box_lqr(model, lower, upper, damping, side=state.side, hasty=hasty)
+    return box_lqr(model, lower, upper, damping, side=state.side)
 
 
 def _schedule(state: ShootingState, fraction: Array, wanted: Array) -> tuple[Array, Array]:

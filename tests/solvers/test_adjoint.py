@@ -34,10 +34,10 @@ def _active(bounds):
 # Few active bounds and many.
 CASES = {
     "pendulum": lambda: _by_name("pendulum"),
-    "pendulum, few bounds": lambda: _with("pendulum", (-6.0, 6.0)),
+    "pendulum, few bounds": lambda: _with("pendulum", (-8.0, 8.0)),
     "pendulum, many bounds": lambda: _with("pendulum", (-3.0, 3.0)),
     "torque arm, reach": lambda: _by_name("torque arm, reach"),
-    "torque arm, few bounds": lambda: _with("torque arm, reach", (-0.6, 0.6)),
+    "torque arm, few bounds": lambda: _with("torque arm, reach", (-1.0, 1.0)),
     "torque arm, many bounds": lambda: _with("torque arm, reach", (-0.4, 0.4)),
     "torque arm, via": lambda: _by_name("torque arm, via"),
     "muscle arm, few bounds": lambda: _active((0.01, 1.0)),

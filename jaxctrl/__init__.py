@@ -75,7 +75,7 @@ _WHERE = {
     "_types": ("LocalModel",),
     "solvers": ("AbstractSolver", "DDP", "ILQR", "Record", "Tolerances"),
     "solvers._batch": ("best", "solve_batch"),
-    "solvers._check_gradients": ("GradientReport", "check_gradients"),
+    "solvers._check_gradients": ("GradientReport", "GradientRow", "check_gradients"),
     "solvers._solution": ("Solution", "SolveError"),
     "solvers._solve": ("solve",),
 }

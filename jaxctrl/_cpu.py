@@ -15,8 +15,8 @@ def enable_fast_cpu(num_devices: int | None = None) -> bool:
     By default XLA runs the body of a loop operation by operation, at some 50 ns each, which for the
     small matrices of a movement is most of the time. This sets an option in the environment
     variable XLA_FLAGS, which XLA reads when it is first used: call it before anything is computed,
-    and before any array is made. It speaks for the whole process, and changes results by rounding
-    only. Programs for a GPU are not affected.
+    and before any array is made; `jax.config.update` may come first. It speaks for the whole
+    process, and changes results by rounding only. Programs for a GPU are not affected.
 
     Arguments:
         num_devices: how many devices the CPU is to be split into, at least 1; `solve_batch` uses

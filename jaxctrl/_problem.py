@@ -221,8 +221,9 @@ def check_array(name: str, value: ArrayLike, shape: tuple[int, ...], hint: str =
 
     Raises ValueError (shape, non-finite) or TypeError (complex), naming the argument.
     """
-    if isinstance(value, Callable) and not hasattr(value, "shape"):
-        raise TypeError(f"{name}: an array of shape {shape} is wanted, got the function {value!r}")
+    if value is None or (isinstance(value, Callable) and not hasattr(value, "shape")):
+        kind = "None" if value is None else f"the function {value!r}"
+        raise TypeError(f"{name}: an array of shape {shape} is wanted, got {kind}")
     try:
         array = array_leaf(value)
     except TypeError as error:

@@ -10,7 +10,10 @@ from jaxtyping import Array, ArrayLike, Int
 
 
 class Reason(enum.IntEnum):
-    """Reasons for which an iteration ends; the first five are successes."""
+    """Reasons for which an iteration ends; the first five are successes.
+
+    `reason.message` says what each means, and what to do: `for r in jc.Reason: print(r.message)`.
+    """
 
     CONVERGED_GRADIENT = 0
     CONVERGED_COST = 1
@@ -110,7 +113,12 @@ class Status(eqx.Module):
 
     @property
     def name(self) -> str:
-        """Name the reason of a single, concrete status, such as "CONVERGED_COST"."""
+        """Name the reason of a single, concrete status, such as "CONVERGED_COST".
+
+        Raises ValueError for a batch, whose reasons `message` counts.
+        """
+        if self.code.ndim > 0:
+            raise ValueError(f"name: one status is wanted, got {self.code.shape}; see `message`")
         return Reason(int(self.code)).name
 
 

@@ -16,7 +16,7 @@ class Record(NamedTuple):
 
     Attributes:
         cost: the solver's cost of the iterate.
-        gradient: its projected gradient, in the solver's relative measure.
+        gradient: its projected gradient, in the solver's relative measure (see `Tolerances`).
         step: the fraction of the search direction by which the iterate was reached; 0 when
             nothing was accepted.
         lam: the relative regularisation with which the next direction was computed.

@@ -45,7 +45,8 @@ def solve_batch(
 
     Returns: `Solution` with a leading axis B; `best(solutions)` picks one. Differentiable.
 
-    Raises: as `solve`; ValueError when no argument has an axis B, or they differ in it.
+    Raises ValueError or TypeError for what is not a problem, for wrong shapes, and when no argument
+    has an axis B, or they differ in it. Lanes that fail raise nothing: read `status.ok`.
     """
     if not isinstance(problem, Problem):
         raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
@@ -65,7 +66,12 @@ def solve_batch(
         else:
             fixed[i] = check_array(name, value, single, f"or (B, {', '.join(map(str, single))})")
     if not sizes or len(set(sizes.values())) > 1 or 0 in sizes.values():
-        raise ValueError(f"x0s, uss: one leading axis B > 0 is wanted, got {sizes or 'none'}")
+        got = ", ".join(f"{name} of {size}" for name, size in sizes.items()) or "no such axis"
+        raise ValueError(
+            f"x0s, uss: a leading axis B > 0 of lanes is wanted, x0s (B, {one.plant.nx}) or uss "
+            f"(B, {one.num_steps}, {one.plant.nu}) or a batch of problems, the same B in each; "
+            f"got {got}"
+        )
     job = _Job(lanes, fixed, solver, max_steps)
     return _run(job, next(iter(sizes.values())), chunk)
 
@@ -150,10 +156,14 @@ def best(solutions: Solution) -> Solution:
     Where none did, the lowest finite cost, with its own status: look at `status.ok`. Works under
     jit and vmap.
 
-    Raises ValueError for a single solution.
+    Raises TypeError for what is no `Solution`, ValueError for a single one.
     """
+    if not isinstance(solutions, Solution):
+        raise TypeError(
+            f"solutions: what solve_batch returns is wanted, got a {type(solutions).__name__}"
+        )
     if solutions.cost.ndim == 0:
-        raise ValueError("solutions: a batch of them is wanted, got one")
+        raise ValueError("solutions: a batch is wanted, as solve_batch returns, got one solution")
     shape = solutions.cost.shape
     flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(shape) :]), solutions)
     cost = jnp.where(jnp.isnan(flat.cost), jnp.inf, flat.cost)

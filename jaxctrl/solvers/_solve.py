@@ -46,7 +46,8 @@ def solve(
     Returns: `Solution`; look at `solution.status.ok` before using it.
 
     Raises: ValueError or TypeError, naming the argument, for shapes that do not fit and for
-    values that are not finite where they can be known; `SolveError` with `throw=True`.
+    values that are not finite where they can be known; `SolveError` with `throw=True`
+    (inside a `jit` of your own Equinox's runtime error, which cannot say why).
     """
     if not isinstance(problem, Problem):
         raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")

@@ -14,7 +14,8 @@ class DDP(AbstractShooting):
     dynamics added, contracted with the costates p: l_zz + sum_i p_i (f_i)_zz, z = (x, u). Near the
     optimum the gradient is squared each iteration. Far from it the exact Hessian is often
     indefinite and says little: steps are ILQR's until the projected gradient is below 1, and
-    wherever the exact one gives no step that lowers the cost.
+    wherever the exact one gives no step that lowers the cost. Such an attempt is an iteration with
+    `step` 0; the gradient, measured in the other model's curvature, may change with it.
 
     The costates are those of the present trajectory, which makes the step Newton's in all the
     controls at once (Pantoja 1988; De O. Pantoja & Mayne 1991), rolled out with feedback; Jacobson

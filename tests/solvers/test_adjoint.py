@@ -200,3 +200,10 @@ def test_a_control_that_just_meets_its_bound_is_compared_on_the_side_that_it_fol
     report = jc.check_gradients(problem, TIGHT, [-1.0, 0.0], where=lambda name: "bounds" in name)
     lower = [row for row in report.rows if row.name.endswith("[0]") and row.output == "us"]
     assert [row.side for row in lower] == ["+"] and lower[0].error < 1e-8
+
+
+def test_checks_in_float32_are_refused():
+    with jax.enable_x64(False):
+        problem, x0 = PROBLEMS["pendulum"]()
+        with pytest.raises(ValueError, match="got float32, wanted float64"):
+            jc.check_gradients(problem, jc.DDP(), x0)

@@ -60,6 +60,10 @@ def test_best_takes_the_lowest_cost_that_converged(pendulum):
     assert jc.best(mixed).cost == jnp.nanmin(worse[1:])
     with pytest.raises(ValueError, match="solutions: a batch"):
         jc.best(best)
+    with pytest.raises(TypeError, match=r"solutions: .*got a list"):
+        jc.best([best, best])  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match=r"name: one status is wanted, got \(\d+,\)"):
+        _ = mixed.status.name
 
 
 def test_batches_are_differentiable_under_jit(pendulum):
@@ -77,11 +81,11 @@ def test_batches_are_differentiable_under_jit(pendulum):
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
-        (lambda p, x0, uss: (x0,), "one leading axis B > 0 is wanted, got none"),
-        (lambda p, x0, uss: (jnp.stack([x0] * 3), uss), r"got \{'x0s': 3, 'uss': 5\}"),
+        (lambda p, x0, uss: (x0,), r"a leading axis B > 0 .*got no such axis"),
+        (lambda p, x0, uss: (jnp.stack([x0] * 3), uss), "got x0s of 3, uss of 5"),
         (lambda p, x0, uss: (x0[:1], uss), r"x0s: got shape \(1,\), wanted \(2,\)"),
         (lambda p, x0, uss: (x0, uss[:, :-1]), r"uss: got shape \(5, 99, 1\)"),
-        (lambda p, x0, uss: (x0, uss[:0]), "one leading axis B > 0"),
+        (lambda p, x0, uss: (x0, uss[:0]), "a leading axis B > 0"),
     ],
 )
 def test_what_does_not_fit_is_named(pendulum, arguments, match):

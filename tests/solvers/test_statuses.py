@@ -322,6 +322,8 @@ def test_wrong_shapes_and_values_are_refused_before_tracing(x0, us, match):
 
 
 def test_wrong_types_are_refused_by_name():
+    with pytest.raises(TypeError, match=r"x0: .* wanted, got None"):
+        jc.solve(swing(), jc.ILQR(), None)  # pyright: ignore[reportArgumentType]
     with pytest.raises(TypeError, match=r"x0: .*complex"):
         jc.solve(swing(), jc.ILQR(), jnp.array([1j, 0]))
     with pytest.raises(TypeError, match=r"solver: .*ILQR\(\) with parentheses"):

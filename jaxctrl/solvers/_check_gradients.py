@@ -108,10 +108,10 @@ def check_gradients(
     size and the same in every call. The derivatives of cost, last state and controls along v are
     compared with central differences, extrapolated (Richardson) from two steps, of solves by `DDP`
     to round-off, each started at the optimum itself. Of several steps the one is taken whose
-    quotients agree best: long ones change which bounds hold. Where a control just meets its bound, with a gradient of
-    zero, the optimum has two one-sided derivatives: when the difference quotients of the two sides
-    tell them apart, the nearer one is compared. (A muscle at rest at the end of a movement, where
-    its excitation no longer changes the cost, is such a control.)
+    quotients agree best: long ones change which bounds hold. Where a control just meets its bound,
+    with a gradient of zero, the optimum has two one-sided derivatives: when the difference
+    quotients of the two sides tell them apart, the nearer one is compared. (A muscle at rest at the
+    end of a movement, where its excitation no longer changes the cost, is such a control.)
 
     Meant for a look at a new problem, in float64: it solves some twenty times per input.
 

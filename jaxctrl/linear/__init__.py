@@ -8,7 +8,6 @@ from ._riccati import (
     Sweep as Sweep,
     costates as costates,
     factorise as factorise,
-    hessian_product as hessian_product,
     lqr as lqr,
     lqr_rollout as lqr_rollout,
     solve_factorised as solve_factorised,

@@ -117,7 +117,7 @@ def _sweep(box: Box, iterate: _Iterate, inside: Bool[Array, ""]) -> _Iterate:
     step = held_lqr(box.model, free, value, box.damping + weight, extra)
 
     def approach():
-        further = advance(box, point, step)
+        further = advance(box, point, step, weight, extra)
         ended = jnp.where(further.settled, held(further, step.curvature - weight), side)
         return further, iterate.side, ended, jnp.array(False)
 

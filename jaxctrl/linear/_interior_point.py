@@ -115,8 +115,12 @@ def barrier(box: Box, point: InteriorPoint) -> tuple[Float[Array, "T nu"], Float
     return stiff_lower + stiff_upper, extra - (stiff_lower + stiff_upper) * point.dus
 
 
-def advance(box: Box, point: InteriorPoint, step: Held) -> InteriorPoint:
+def advance(
+    box: Box, point: InteriorPoint, step: Held, weight: Array, extra: Array
+) -> InteriorPoint:
     """Go towards a Newton step's end, as far as slacks and multipliers stay positive.
+
+    Arguments: where it starts, its end, and what `barrier` added there, each (T, nu).
 
     Ends when the duality gap and the residuals are below eps^0.4 of the reduction of the model's
     cost, when the step failed, and after `MAX_STEPS`.
@@ -124,7 +128,6 @@ def advance(box: Box, point: InteriorPoint, step: Held) -> InteriorPoint:
     sL, sU, zL, zU = point[3:7]
     centre, off_lower, off_upper = _targets(box, point)
     _, _, has_lower, has_upper = box.sides
-    weight, extra = barrier(box, point)
     d = step.dus - point.dus
     dsL, dsU = (d + off_lower) * has_lower, (off_upper - d) * has_upper
     dzL = jnp.where(has_lower, (centre - zL * dsL) / sL - zL, 0.0)

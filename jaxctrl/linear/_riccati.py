@@ -210,7 +210,7 @@ def held_lqr(
     swept = jax.lax.scan(back, start, stages, reverse=True)[1]
     k, Qu, Qux, Quu, K, gradient, ok, finite = swept
 
-    def ahead(dx, stage):
+    def forth(dx, stage):
         fx, fu, k, Qu, Qux, Quu, K, free = stage
         du = k + matmul(K, dx)
         slope = jnp.where(free, 0.0, Qu + matmul(Qux, dx) + matmul(Quu, du))
@@ -219,7 +219,7 @@ def held_lqr(
 
     origin = jnp.zeros_like(model.vx)
     _, (dxs, dus, slope) = jax.lax.scan(
-        ahead, origin, (model.fx, model.fu, k, Qu, Qux, Quu, K, free)
+        forth, origin, (model.fx, model.fu, k, Qu, Qux, Quu, K, free)
     )
     dxs = jnp.concatenate([origin[None], dxs])
     curvature = jnp.diagonal(Quu, axis1=1, axis2=2)
@@ -307,6 +307,7 @@ def solve_factorised(
         ahead = Vx + matmul(Vxx, c)
         rhs = b + matmul(fu.T, ahead)
         k = held - matmul(inverse, jnp.where(free, rhs + matmul(Quu, held), 0.0))
+        # Refined once: of a stiff chain, what the inverse rounds off is what the transpose misses.
         k = k - matmul(inverse, jnp.where(free, rhs + matmul(Quu, k), 0.0))
         before = lx + matmul(fx.T, ahead) + matmul(Qux.T, k)
         return before + matmul(K.T, rhs + matmul(Quu, k)), k
@@ -339,20 +340,3 @@ def lqr_rollout(
 
     _, (dxs, dus) = jax.lax.scan(body, dx0, (model.fx, model.fu, k, K, offset))
     return jnp.concatenate([dx0[None], dxs]), dus
-
-
-def hessian_product(
-    model: LocalModel, dxs: Float[Array, "T+1 nx"], dus: Float[Array, "T nu"]
-) -> Float[Array, "T nu"]:
-    """Return the Hessian of the model's cost in the controls times dus (T, nu).
-
-    Arguments: model; dxs (T+1, nx), the states that dus lead to on it from dx0 = 0.
-    """
-
-    def body(p, stage):
-        fx, fu, lxx, lux, luu, dx, du = stage
-        before = matmul(lxx, dx) + matmul(lux.T, du) + matmul(fx.T, p)
-        return before, matmul(lux, dx) + matmul(luu, du) + matmul(fu.T, p)
-
-    stages = (model.fx, model.fu, model.lxx, model.lux, model.luu, dxs[:-1], dus)
-    return jax.lax.scan(body, matmul(model.vxx, dxs[-1]), stages, reverse=True)[1]

@@ -14,7 +14,6 @@ from jaxctrl.linear import (
     box_qp,
     costates,
     factorise,
-    hessian_product,
     lqr,
     lqr_rollout,
     solve_factorised,
@@ -264,7 +263,8 @@ def _interior_point(box):
     def step(point):
         weight, extra = barrier(box, point)
         damping = box.damping + weight
-        return advance(box, point, held_lqr(box.model, box.movable, box.lower, damping, extra))
+        end = held_lqr(box.model, box.movable, box.lower, damping, extra)
+        return advance(box, point, end, weight, extra)
 
     point = begin(box, gradient, jnp.array(1.0))
     while not point.done:
@@ -322,8 +322,6 @@ def test_factorised_solve_equals_the_dense_system_with_controls_held():
     assert system.ok.all()
     rolled, _ = lqr_rollout(model, got, jnp.zeros_like(system.K), jnp.zeros(4))
     np.testing.assert_allclose(dxs, rolled, rtol=1e-9, atol=1e-11)
-    product = hessian_product(model, dxs, got).ravel()
-    np.testing.assert_allclose(product, H @ wanted, rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(got.ravel(), wanted, rtol=1e-8, atol=1e-11)
 
 

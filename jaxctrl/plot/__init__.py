@@ -8,9 +8,11 @@ colours found there. `style(dark=True)` makes dark figures.
 """
 
 from ._convergence import convergence
+from ._kinematics import power_law, speed_and_curvature
 from ._space import hand_paths, joint_paths, phase
 from ._style import panels, style
 from ._time import activations, controls, speed_profiles, trajectories
+from ._workspace import points, workspace_map
 
 __all__ = [
     "activations",
@@ -20,7 +22,11 @@ __all__ = [
     "joint_paths",
     "panels",
     "phase",
+    "points",
+    "power_law",
+    "speed_and_curvature",
     "speed_profiles",
     "style",
     "trajectories",
+    "workspace_map",
 ]

@@ -49,16 +49,29 @@ def times(name: str, value: Any, length: int | None = None, wanted: str = "(N,)"
     return array
 
 
-def points(name: str, value: Any) -> np.ndarray:
-    """Return one point (2,) or several (n, 2) as (n, 2); none for None or an empty list."""
+def points(name: str, value: Any, columns: int = 2) -> np.ndarray:
+    """Return one point (columns,) or several (n, columns) as the latter.
+
+    There are none for None or an empty list.
+    """
     if value is None or np.size(value) == 0:
-        return np.zeros((0, 2))
-    array = numbers(name, value, "(2,) or (n, 2)")
-    if array.ndim not in (1, 2) or array.shape[-1] != 2:
-        raise wrong_shape(name, array.shape, "(2,) or (n, 2)")
+        return np.zeros((0, columns))
+    wanted = f"({columns},) or (n, {columns})"
+    array = numbers(name, value, wanted)
+    if array.ndim not in (1, 2) or array.shape[-1] != columns:
+        raise wrong_shape(name, array.shape, wanted)
     if np.isnan(array).all():
         raise ValueError(f"{name}: no finite point in shape {array.shape}")
-    return array.reshape(-1, 2)
+    return array.reshape(-1, columns)
+
+
+def one_for_each(name: str, value: Any, count: int) -> np.ndarray:
+    """Return a number or (count,) as (count,)."""
+    wanted = f"() or ({count},)"
+    array = numbers(name, value, wanted)
+    if array.shape not in ((), (count,)):
+        raise wrong_shape(name, array.shape, wanted)
+    return np.broadcast_to(array, (count,))
 
 
 def groups(name: str, value: Any, wanted: str, point: tuple[int, ...] = ()) -> list[np.ndarray]:
@@ -91,6 +104,19 @@ def _group(name: str, value: Any, wanted: str, point: tuple[int, ...]) -> np.nda
     if array.ndim not in (curve, curve + 1) or not tail_fits or not array.size:
         raise wrong_shape(name, array.shape, wanted)
     return array.reshape(-1, *array.shape[array.ndim - curve :])
+
+
+def clocks(ts: Any, curves: list[np.ndarray], name: str) -> list[np.ndarray]:
+    """Return the times (N,) [s] of each group (trials, N): given once for all, or one by one."""
+    found = groups("ts", ts, "(N,) or a list of (N,)")
+    if len(found) == 1:
+        found = found * len(curves)
+    if len(found) != len(curves):
+        raise ValueError(f"ts: {len(found)} given for {len(curves)} entries of `{name}`")
+    return [
+        times("ts", clock[0], curve.shape[1], f"({curve.shape[1]},), as long as `{name}`")
+        for clock, curve in zip(found, curves, strict=True)
+    ]
 
 
 def names_for(

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -9,12 +10,16 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Colormap, ListedColormap, to_hex, to_rgb
 from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
 
 from ._inputs import mean_of
 
 TARGET = {"marker": "o", "markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.3}
 START = {"marker": "o", "markersize": 4.5, "markeredgewidth": 0.0}
+VIA = {"marker": "x", "markersize": 6, "markeredgewidth": 1.3}
 END = {"marker": "s", "markersize": 4.5, "markeredgewidth": 0.0}
+
+_MANY = 5000  # points beyond which a vector file would take long to show
 
 
 def next_look(ax: Axes) -> tuple[str, str]:
@@ -50,6 +55,39 @@ def draw_group(ax: Axes, xs: np.ndarray, ys: np.ndarray, label: str | None) -> s
     mean.set_label("mean" if label is None else label)
     ax.autoscale_view()
     return color
+
+
+def draw_over_time(
+    ax: Axes, clocks: list[np.ndarray], groups: list[np.ndarray], names: list[str] | None
+) -> None:
+    """Draw groups (trials, N) over their times (N,), upwards from zero if none is negative."""
+    for i, (clock, group) in enumerate(zip(clocks, groups, strict=True)):
+        name = names[i] if names else None if len(groups) == 1 else f"{i + 1}"
+        draw_group(ax, np.broadcast_to(clock, group.shape), group, name)
+    if min(np.nanmin(group) for group in groups if not np.isnan(group).all()) >= 0:
+        ax.set_ylim(bottom=0)
+
+
+def draw_points(ax: Axes, points: np.ndarray, color: str, label: str | None) -> None:
+    """Draw points (2, n), small and transparent, so that many do not hide each other."""
+    count = points.shape[1]
+    look: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0.0}
+    look["color"] = tint(ax, color)
+    alpha = float(np.clip(300 / count, 0.1, 0.7))
+    size = 2.5 if count <= 1000 else 2.0
+    ax.plot(*points, markersize=size, alpha=alpha, rasterized=count > _MANY, **look)
+    ax.plot([], [], markersize=4, label=label, **look)
+
+
+def draw_discs(ax: Axes, discs: np.ndarray, label: str) -> None:
+    """Draw discs (x, y, radius), (n, 3), grey and with an edge, beneath every curve."""
+    edge = matplotlib.rcParams["grid.color"]
+    face = tint(ax, to_hex(tint(ax, edge)))
+    for x, y, radius in discs:
+        ax.add_patch(Circle((x, y), radius, facecolor=face, edgecolor=edge, linewidth=0.9))
+    if len(discs):
+        look = {"markerfacecolor": face, "markeredgecolor": edge, "markeredgewidth": 0.9}
+        ax.plot([], [], linestyle="none", marker="o", markersize=6.5, label=label, **look)
 
 
 def tint(ax: Axes, color: str) -> tuple[float, float, float]:

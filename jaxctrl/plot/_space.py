@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, MultipleLocator
 
-from . import _inputs, _marks
+from . import _inputs, _marks, _plane
 from ._style import COLUMN, drawing, figure_of
 
 _PATHS = "(N, 2), (trials, N, 2) or a list of these"
@@ -24,6 +24,8 @@ def hand_paths(
     targets: Any = None,
     *,
     starts: Any = None,
+    via: Any = None,
+    obstacles: Any = None,
     labels: str | Sequence[str] | None = None,
     ax: Axes | None = None,
 ) -> Figure:
@@ -38,25 +40,35 @@ def hand_paths(
         targets: positions [m], (2,) or (n, 2), drawn as rings.
         starts: positions [m], (2,) or (n, 2), drawn as dots; by default where each mean path
             begins. An empty list draws none.
+        via: positions of via-points [m], (2,) or (n, 2), drawn as crosses.
+        obstacles: discs (x, y, radius) [m], (3,) or (n, 3), drawn to scale.
         labels: one name for each entry of the list `paths`.
         ax: Axes to draw into instead of a new figure.
     Returns: the Figure.
-    Raises: ValueError for a wrong shape, a wrong number of labels, or no finite sample.
+    Raises: ValueError for a wrong shape, a wrong number of labels, no finite sample, or a radius
+        that is not positive.
     """
     groups = _inputs.groups("paths", paths, _PATHS, (2,))
     names = _inputs.names_for("labels", labels, len(groups), "entry of `paths`")
-    marks = _inputs.points("targets", targets)
+    marks, crosses = _inputs.points("targets", targets), _inputs.points("via", via)
+    discs = _discs(obstacles)
     means = [_inputs.mean_of(group) for group in groups]
     begins = _marks.first_points(means) if starts is None else _inputs.points("starts", starts)
-    everything = np.concatenate([group.reshape(-1, 2) for group in groups] + [marks, begins])
-    with drawing(ax, _size(everything, len(groups) + 2)) as axes:
-        unit, scale = _length_unit(axes, everything)
+    corners = [discs[:, :2] + sign * discs[:, 2:] for sign in (-1, 1)]
+    everything = np.concatenate(
+        [*(group.reshape(-1, 2) for group in groups), marks, begins, crosses, *corners]
+    )
+    rows = len(groups) + 2 + (len(crosses) > 0) + (len(discs) > 0)
+    with drawing(ax, _plane.size_for(everything, rows)) as axes:
+        unit, scale = _plane.length_unit(axes, everything)
         axes.margins(0.02)
         axes.set_aspect("equal", anchor="NW")
         for i, group in enumerate(groups):
             name = names[i] if names else None if len(groups) == 1 else f"{i + 1}"
             _marks.draw_group(axes, scale * group[..., 0], scale * group[..., 1], name)
+        _marks.draw_discs(axes, scale * discs, "obstacle")
         _marks.mark(axes, scale * begins, "start", _marks.START)
+        _marks.mark(axes, scale * crosses, "via-point", _marks.VIA)
         _marks.mark(axes, scale * marks, "target", _marks.TARGET)
         axes.set_xlabel(f"x [{unit}]")
         axes.set_ylabel(f"y [{unit}]")
@@ -90,7 +102,7 @@ def joint_paths(
     marks = _inputs.points("target", target)
     sequence = _is_sequence(paths, names)
     rows = 3 if sequence else len(paths) + 3
-    with drawing(ax, _size(np.concatenate([*paths, marks]), rows, sequence)) as axes:
+    with drawing(ax, _plane.size_for(np.concatenate([*paths, marks]), rows, sequence)) as axes:
         axes.set_aspect("equal", anchor="NW")
         _draw_paths(axes, paths, names, "iteration", 0)
         _marks.mark(axes, marks, "target", _marks.TARGET)
@@ -135,6 +147,14 @@ def phase(
     return figure_of(axes)
 
 
+def _discs(value: Any) -> np.ndarray:
+    """Return one disc (3,) or several (n, 3) as (n, 3); none for None or an empty list."""
+    discs = _inputs.points("obstacles", value, 3)
+    if not (np.isfinite(discs).all() and (discs[:, 2] > 0).all()):
+        raise ValueError(f"obstacles: finite (x, y) and a positive radius are wanted, got {value}")
+    return discs
+
+
 def _plane_paths(name: str, value: Any) -> list[np.ndarray]:
     """Return the paths of an array or list as arrays (N, 2)."""
     return [path for group in _inputs.groups(name, value, _PLANE, (2,)) for path in group]
@@ -155,15 +175,8 @@ def _draw_paths(
         width = 0.8 * matplotlib.rcParams["lines.linewidth"]
         for i, path in enumerate(paths):
             ax.plot(*path.T, color=colors(scale(first + i)), linestyle="-", linewidth=width)
-        above = ax.inset_axes((0.0, 1.05, 1.0, 0.04))
-        bar = figure_of(ax).colorbar(
-            ScalarMappable(scale, colors),
-            cax=above,
-            label=thing,
-            location="top",
-            ticks=MaxNLocator(integer=True, steps=[1, 2, 5, 10]),
-        )
-        bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
+        whole = MaxNLocator(integer=True, steps=[1, 2, 5, 10])
+        _plane.color_bar_above(ax, ScalarMappable(scale, colors), thing, whole)
         ends = paths[-1:]
     else:
         for i, path in enumerate(paths):
@@ -173,29 +186,6 @@ def _draw_paths(
     start = _marks.START | ({"markersize": 3.5} if sequence else {})
     _marks.mark(ax, _marks.first_points(paths), "start", start)
     _marks.mark(ax, _marks.last_points(ends), "end", _marks.END)
-
-
-def _length_unit(ax: Axes, points: np.ndarray) -> tuple[str, float]:
-    """Return the unit of an Axes and units per metre: its own if it has one, else by extent."""
-    for unit, scale in (("cm", 100.0), ("m", 1.0)):
-        if ax.get_xlabel() == f"x [{unit}]":
-            return unit, scale
-    return ("cm", 100.0) if _extent(points).max() < 0.5 else ("m", 1.0)
-
-
-def _extent(points: np.ndarray) -> np.ndarray:
-    """Return the width and height of the finite points (n, 2)."""
-    finite = points[np.isfinite(points).all(axis=1)]
-    return np.ptp(finite, axis=0) if len(finite) else np.zeros(2)
-
-
-def _size(points: np.ndarray, rows: int, color_bar: bool = False) -> tuple[float, float]:
-    """Return the figure size [inch] for paths of equal aspect and a legend of so many rows."""
-    width, height = _extent(points)
-    across = COLUMN - 1.35  # less the labels on the left and the legend on the right
-    ratio = height / width if width > 0 else np.inf
-    down = min(across * float(np.clip(ratio, 0.5, 2)), 2.9) + (0.9 if color_bar else 0.45)
-    return COLUMN, max(down, 0.3 + 0.15 * min(rows, 12))
 
 
 def _is_sequence(paths: list[np.ndarray], names: list[str] | None) -> bool:

@@ -45,23 +45,11 @@ def speed_profiles(
     """
     groups = _inputs.groups("speeds", speeds, _SPEEDS)
     names = _inputs.names_for("labels", labels, len(groups), "entry of `speeds`")
-    clocks = _inputs.groups("ts", ts, "(N,) or a list of (N,)")
-    if len(clocks) == 1:
-        clocks = clocks * len(groups)
-    if len(clocks) != len(groups):
-        raise ValueError(f"ts: {len(clocks)} given for {len(groups)} entries of `speeds`")
-    clocks = [
-        _inputs.times("ts", clock[0], group.shape[1], f"({group.shape[1]},), as long as `speeds`")
-        for clock, group in zip(clocks, groups, strict=True)
-    ]
+    clocks = _inputs.clocks(ts, groups, "speeds")
     with drawing(ax, _size(len(groups))) as axes:
-        for i, (clock, group) in enumerate(zip(clocks, groups, strict=True)):
-            name = names[i] if names else None if len(groups) == 1 else f"{i + 1}"
-            _marks.draw_group(axes, np.broadcast_to(clock, group.shape), group, name)
+        _marks.draw_over_time(axes, clocks, groups, names)
         axes.set_xlabel("time [s]")
         axes.set_ylabel("hand speed [m/s]")
-        if min(np.nanmin(group) for group in groups if not np.isnan(group).all()) >= 0:
-            axes.set_ylim(bottom=0)
         _marks.legend(axes)
     return figure_of(axes)
 
@@ -175,7 +163,7 @@ def trajectories(
     length, count = columns.shape
     clock = _inputs.times("ts", ts, length, f"({length},), as long as `values`")
     labels = _inputs.names_for("names", names, count, "column of `values`")
-    goals = None if targets is None else _per_column("targets", targets, count)
+    goals = None if targets is None else _inputs.one_for_each("targets", targets, count)
     quantity, part = _QUANTITIES.get(unit, ("value", "component"))
     with drawing(ax, _size(count)) as axes:
         colors = _draw_columns(axes, clock, columns, labels, part)
@@ -205,15 +193,6 @@ def _columns(name: str, value: Any, rows: str, columns: str) -> np.ndarray:
     return _inputs.shaped(name, array, wanted, (None, None))
 
 
-def _per_column(name: str, value: Any, count: int) -> np.ndarray:
-    """Return a number or (count,) as (count,)."""
-    wanted = f"() or ({count},)"
-    array = _inputs.numbers(name, value, wanted)
-    if array.shape not in ((), (count,)):
-        raise _inputs.wrong_shape(name, array.shape, wanted)
-    return np.broadcast_to(array, (count,))
-
-
 def _draw_columns(
     ax: Axes, clock: np.ndarray, values: np.ndarray, names: list[str] | None, part: str
 ) -> list[str]:
@@ -234,7 +213,10 @@ def _bounds(bounds: Any, nu: int) -> list[np.ndarray]:
         lower, upper = bounds
     except (TypeError, ValueError):
         raise ValueError("bounds: a pair (lower, upper) is wanted") from None
-    return [_per_column("bounds[0]", lower, nu), _per_column("bounds[1]", upper, nu)]
+    return [
+        _inputs.one_for_each("bounds[0]", lower, nu),
+        _inputs.one_for_each("bounds[1]", upper, nu),
+    ]
 
 
 def _draw_bound(ax: Axes, limit: np.ndarray, colors: list[str], held: np.ndarray) -> None:

@@ -31,6 +31,15 @@ WRONG = {
         r"targets: shape \(3,\) given, wanted \(2,\) or \(n, 2\)",
     ),
     "starts": (lambda: plot.hand_paths(ONES((11, 2)), starts=1.0), r"starts: shape \(\) given"),
+    "via": (lambda: plot.hand_paths(ONES((11, 2)), via=ONES(3)), r"via: shape \(3,\) given"),
+    "obstacles": (
+        lambda: plot.hand_paths(ONES((11, 2)), obstacles=ONES((1, 2))),
+        r"obstacles: shape \(1, 2\) given, wanted \(3,\) or \(n, 3\)",
+    ),
+    "radius of an obstacle": (
+        lambda: plot.hand_paths(ONES((11, 2)), obstacles=[0.1, 0.2, -0.3]),
+        r"obstacles: .* a positive radius",
+    ),
     "labels of the trials": (
         lambda: plot.hand_paths(ONES((8, 11, 2)), labels=list("abcdefgh")),
         r"labels: 8 given, wanted 1.*list of arrays",
@@ -79,6 +88,54 @@ WRONG = {
     "phase": (lambda: plot.phase(ONES(11)), r"xs: shape \(11,\) given"),
     "cost": (lambda: plot.convergence(ONES((2, 3, 4))), r"cost: shape \(2, 3, 4\) given"),
     "all-NaN cost": (lambda: plot.convergence(NANS), r"cost: no finite sample"),
+    "shapes of the curvatures": (
+        lambda: plot.speed_and_curvature(TS, ONES((3, 11)), ONES(11)),
+        r"curvatures: .*\[\(1, 11\)\], wanted \[\(3, 11\)\], as `speeds`",
+    ),
+    "signed curvatures": (
+        lambda: plot.speed_and_curvature(TS, ONES(11), -ONES(11)),
+        r"curvatures: absolute values are wanted, got -1",
+    ),
+    "times of the curvatures": (
+        lambda: plot.speed_and_curvature(TS[:9], ONES(11), ONES(11)),
+        r"ts: shape \(9,\) given, wanted \(11,\), as long as `speeds`",
+    ),
+    "instants": (
+        lambda: plot.speed_and_curvature(TS, TS, TS, marks=[0.1, np.nan]),
+        r"marks: every time must be finite",
+    ),
+    "speeds of the power law": (
+        lambda: plot.power_law([TS, TS], [TS, TS[:5]]),
+        r"speed: .*wanted .* as `radius`",
+    ),
+    "gain missing": (lambda: plot.power_law(TS, TS, exponent=0.3), r"exponent, gain: both"),
+    "exponents": (
+        lambda: plot.power_law(TS, TS, exponent=ONES(2), gain=1.0),
+        r"exponent: shape \(2,\) given, wanted \(\) or \(1,\)",
+    ),
+    "nothing positive": (
+        lambda: plot.power_law([TS, TS], [TS, -TS]),
+        r"radius, speed: entry 1 has no sample where both are positive",
+    ),
+    "values of a map": (
+        lambda: plot.workspace_map(TS, TS[:5], ONES((11, 5)), label="a", unit=""),
+        r"values: shape \(11, 5\) given, wanted \(5, 11\), \(ny, nx\)",
+    ),
+    "grid of a map": (
+        lambda: plot.workspace_map(TS[::-1], TS, ONES((11, 11)), label="a", unit=""),
+        r"x: at least two positions are wanted, finite and increasing",
+    ),
+    "points": (lambda: plot.points(ONES((4, 3))), r"points: shape \(4, 3\) given"),
+    "points of trials": (lambda: plot.points(ONES((2, 4, 2))), r"points: shape \(2, 4, 2\) given"),
+    "number of ellipses": (
+        lambda: plot.points([ONES((4, 2))] * 2, ellipses=([0, 0], [1, 1], 0.0)),
+        r"ellipses: 1 given, wanted 2",
+    ),
+    "ellipse": (lambda: plot.points(ONES((4, 2)), ellipses=[1.0]), r"ellipses\[0\]: a tuple"),
+    "half axes": (
+        lambda: plot.points(ONES((4, 2)), ellipses=([0, 0], [1, -1], 0.0)),
+        r"ellipses\[0\]: finite numbers and half axes from 0",
+    ),
     "rows": (lambda: plot.panels(0, 2), r"rows, columns: at least 1"),
 }
 

@@ -14,6 +14,8 @@ ANGLES = np.arange(8) * np.pi / 4
 STAR = [0.1 * S[:, None] * [np.cos(a), np.sin(a)] for a in ANGLES]
 MANY = np.linspace(1.0, 2.0, 24) * np.sin(3 * S)[:, None]
 ITERATIONS = [np.stack([1 + i * S / 20, 2 - S**2], axis=-1) for i in range(20)]
+CLOUD = 10.0 ** np.stack([np.linspace(-2.0, 0.2, 50), np.linspace(-1.0, -0.3, 50)])
+MAP = np.where(np.arange(20) > 3, np.arange(20.0), np.nan).reshape(4, 5)
 
 FIGURES = {
     "star": lambda: plot.hand_paths(STAR, [path[-1] for path in STAR], labels=list("abcdefgh")),
@@ -35,6 +37,35 @@ FIGURES = {
         np.exp(-20 * MANY.T[:4]), gradient=np.exp(-9 * MANY.T[:4]), labels=LONG[:4]
     ),
     "lanes": lambda: plot.convergence(np.exp(-20 * MANY.T)),
+}
+FIGURES |= {
+    "obstacles": lambda: plot.hand_paths(
+        STAR[0], [0.1, 0.0], via=[[0.03, 0.04], [0.0, -0.05]], obstacles=[0.12, 0.06, 0.03]
+    ),
+    "speed and curvature": lambda: plot.speed_and_curvature(
+        TS, MANY.T[:2], 1 / (0.1 + MANY.T[:2] ** 2), marks=[0.1, 0.2]
+    ),
+    "power law": lambda: plot.power_law(
+        [CLOUD[0], CLOUD[0] ** 2 + 0.001],
+        [CLOUD[1], 2 * CLOUD[1]],
+        exponent=1 / 3,
+        gain=[0.5, 1.0],
+        labels=["slow", "fast"],
+    ),
+    "power law within a decade": lambda: plot.power_law(CLOUD[1], CLOUD[1]),
+    "power law over many decades": lambda: plot.power_law(CLOUD[0] ** 8, CLOUD[1] ** 2),
+    "map": lambda: plot.workspace_map(
+        0.7 * np.cos(ANGLES[4::-1]), ANGLES[:4] / 4, MAP, label="gain", unit=""
+    ),
+    "signed map": lambda: plot.workspace_map(
+        0.01 * ANGLES[:5], 0.02 * ANGLES[:4], MAP - 9, label="torque", unit="N m", diverging=True
+    ),
+    "points": lambda: plot.points(
+        [path[9:12] for path in STAR[:3]],
+        ellipses=[(path[10], [0.02, 0.01], a) for path, a in zip(STAR[:3], ANGLES, strict=False)],
+        targets=[path[-1] for path in STAR[:3]],
+        labels=LONG[:3],
+    ),
 }
 
 
@@ -94,7 +125,11 @@ def test_tick_labels_do_not_overlap(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["star", "vertical", "horizontal", "point", "trials", "joints", "iterations"]
+    "name",
+    [
+        *("star", "vertical", "horizontal", "point", "trials", "joints", "iterations"),
+        *("obstacles", "map", "signed map", "points"),
+    ],
 )
 def test_paths_have_equal_aspect(name):
     figure = FIGURES[name]()
@@ -104,14 +139,17 @@ def test_paths_have_equal_aspect(name):
     assert across[0] - origin[0] == pytest.approx(up[1] - origin[1], rel=0.006)
 
 
-@pytest.mark.parametrize("name", ["star", "vertical", "horizontal", "narrow", "phase", "joints"])
+@pytest.mark.parametrize(
+    "name",
+    ["star", "vertical", "horizontal", "narrow", "phase", "joints", "obstacles", "points"],
+)
 def test_marks_are_not_cut_by_the_axes(name):
     figure = FIGURES[name]()
     figure.draw_without_rendering()
     ax = figure.axes[0]
     box = ax.get_window_extent()
     for line in ax.lines:
-        if line.get_marker() not in ("o", "s"):
+        if line.get_marker() not in ("o", "s", "x"):
             continue
         radius = 0.5 * line.get_markersize() * figure.dpi / 72
         places = ax.transData.transform(line.get_xydata())

@@ -25,9 +25,15 @@ CALLS = {
     "trajectories": lambda ax=None: plot.trajectories(TS, REACH, unit="rad", ax=ax),
     "joint_paths": lambda ax=None: plot.joint_paths([REACH, 2 * REACH], ax=ax),
     "phase": lambda ax=None: plot.phase([REACH, 2 * REACH], ax=ax),
+    "power_law": lambda ax=None: plot.power_law(1 + TS, 1 + TS, exponent=1, gain=1, ax=ax),
+    "workspace_map": lambda ax=None: plot.workspace_map(
+        TS[:2], TS[:3], REACH[:3], label="gain", unit="", ax=ax
+    ),
+    "points": lambda ax=None: plot.points(REACH, ellipses=(REACH[3], [0.1, 0.2], 1.0), ax=ax),
+    "speed_and_curvature": lambda: plot.speed_and_curvature(TS, TS, TS, marks=0.2),
     "convergence": lambda: plot.convergence([np.exp(-10 * TS), np.exp(-20 * TS)]),
 }
-INTO_AXES = sorted(set(CALLS) - {"convergence"})
+INTO_AXES = sorted(set(CALLS) - {"convergence", "speed_and_curvature"})
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING
 from ._version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from . import linear as linear, plants as plants, plot as plot, tasks as tasks
+    from . import (
+        analysis as analysis,
+        linear as linear,
+        models as models,
+        plants as plants,
+        plot as plot,
+        tasks as tasks,
+    )
     from ._controller import (
         AbstractController as AbstractController,
         AffinePolicy as AffinePolicy,
@@ -18,6 +25,7 @@ if TYPE_CHECKING:
     )
     from ._cost import (
         AbstractCost as AbstractCost,
+        AbstractStepCost as AbstractStepCost,
         Events as Events,
         FunctionCost as FunctionCost,
         QuadraticCost as QuadraticCost,
@@ -38,6 +46,7 @@ if TYPE_CHECKING:
     )
     from ._plant import (
         AbstractArm as AbstractArm,
+        AbstractHand as AbstractHand,
         AbstractPlant as AbstractPlant,
         FunctionPlant as FunctionPlant,
     )
@@ -45,6 +54,8 @@ if TYPE_CHECKING:
     from ._simulate import Trajectory as Trajectory, simulate as simulate
     from ._status import Reason as Reason, Status as Status
     from ._types import LocalModel as LocalModel
+    from .models._compare import compare as compare
+    from .models._times import optimise_times as optimise_times
     from .solvers import (
         DDP as DDP,
         ILQR as ILQR,
@@ -63,23 +74,32 @@ if TYPE_CHECKING:
 # Imported at first use, so that the command line answers at once, without JAX.
 _WHERE = {
     "_controller": ("AbstractController", "AffinePolicy", "OpenLoop"),
-    "_cost": ("AbstractCost", "Events", "FunctionCost", "QuadraticCost", "SumCost"),
+    "_cost": (
+        "AbstractCost",
+        "AbstractStepCost",
+        "Events",
+        "FunctionCost",
+        "QuadraticCost",
+        "SumCost",
+    ),
     "_cpu": ("enable_fast_cpu",),
     "_integrate": ("AbstractIntegrator", "Euler", "NextState", "RK4"),
     "_local_model": ("expand",),
     "_noise": ("AbstractNoise", "AdditiveNoise", "SignalDependentNoise"),
-    "_plant": ("AbstractArm", "AbstractPlant", "FunctionPlant"),
+    "_plant": ("AbstractArm", "AbstractHand", "AbstractPlant", "FunctionPlant"),
     "_problem": ("Problem",),
     "_simulate": ("Trajectory", "simulate"),
     "_status": ("Reason", "Status"),
     "_types": ("LocalModel",),
+    "models._compare": ("compare",),
+    "models._times": ("optimise_times",),
     "solvers": ("AbstractSolver", "DDP", "ILQR", "Record", "Tolerances"),
     "solvers._batch": ("best", "solve_batch"),
     "solvers._check_gradients": ("GradientReport", "GradientRow", "check_gradients"),
     "solvers._solution": ("Solution", "SolveError"),
     "solvers._solve": ("solve",),
 }
-_MODULES = ("linear", "plants", "plot", "tasks")
+_MODULES = ("analysis", "linear", "models", "plants", "plot", "tasks")
 _LAZY = {name: module for module, names in _WHERE.items() for name in names}
 
 __all__ = ["__version__", *sorted(_LAZY), *_MODULES]  # pyright: ignore

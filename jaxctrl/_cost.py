@@ -29,7 +29,9 @@ class AbstractCost(eqx.Module):
 
     J = terminal(x_T) + sum_k dt running(x_k, u_k, t_k) + sum_i event_i(x(t_i)); for a discrete
     plant `running` is a cost per step, without the dt. A cost never keeps a plant, so that each
-    physical parameter has one owner. Costs add: `cost_a + cost_b`.
+    physical parameter has one owner. Costs add: `cost_a + cost_b`. A cost may have a method
+    `check_start(plant, x0)` that raises ValueError for a start which it cannot allow; `solve` calls
+    it where x0 is known.
 
     Attributes:
         running_is_quadratic: whether the Hessian of `running` in (x, u) is the same everywhere;
@@ -89,6 +91,40 @@ class SumCost(AbstractCost):
     def events(self):
         """All parts' groups of events; their times have shape (m,) in seconds."""
         return tuple(group for part in self.parts for group in part.events)
+
+
+class AbstractStepCost(AbstractCost):
+    """A cost of what changes over each step, such as a torque: dt |rho_k|^2/2 for every k.
+
+    rho_k = residual(plant, x_k, u_k, x_{k+1}, dt). A rate of change written as a derivative at x_k
+    would miss what happens within the step, and an optimisation finds that: muscles whose force is
+    flat at no activation would be switched on and off for nothing. As sums of squares these costs
+    have a Gauss-Newton Hessian, which `ILQR` takes; `DDP` and all derivatives take the exact one.
+    For a discrete plant the cost of a step is |rho_k|^2/2.
+    """
+
+    @abc.abstractmethod
+    def residual(
+        self,
+        plant: AbstractPlant,
+        x: Float[Array, " nx"],
+        u: Float[Array, " nu"],
+        after: Float[Array, " nx"],
+        dt: Float[Array, ""],
+    ) -> Float[Array, " m"]:
+        """Return rho, shape (m,), of a step from x (nx,) under u (nu,) to `after` (nx,)."""
+
+
+def parts(cost: AbstractCost) -> tuple[AbstractCost, ...]:
+    """Return the costs of which a cost is the sum, in order; itself alone if it is none."""
+    if not isinstance(cost, SumCost):
+        return (cost,)
+    return tuple(found for part in cost.parts for found in parts(part))
+
+
+def step_costs(cost: AbstractCost) -> tuple[AbstractStepCost, ...]:
+    """Return the parts of a cost that are costs of steps, in order."""
+    return tuple(part for part in parts(cost) if isinstance(part, AbstractStepCost))
 
 
 class FunctionCost(AbstractCost):

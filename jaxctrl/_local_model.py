@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ._cost import step_costs
 from ._jacobian import jacobian
 from ._problem import Problem
 from ._types import LocalModel
@@ -22,9 +23,10 @@ def expand(
     Arguments:
         problem: what to expand.
         xs, us: a trajectory of the problem.
-        second_order: add the dynamics' second derivatives, contracted with the costates:
-            l_zz += p' f_zz, z = (x, u). The model is then that of Newton's method in the controls;
-            without, of Gauss and Newton's. May be traced.
+        second_order: add the dynamics' second derivatives, contracted with the costates, and those
+            of the residuals of `AbstractStepCost`: l_zz += p' f_zz + rho' rho_zz, z = (x, u). The
+            model is then that of Newton's method in the controls; without, of Gauss and Newton's.
+            May be traced.
 
     Returns: `LocalModel`; the cost blocks include the time step, and events are folded in: an event
     between x_k and x_{k+1} = f(x_k, u_k) is a function of (x_k, u_k).
@@ -36,23 +38,23 @@ def expand(
     def step(z, t):
         return problem.step(z[:nx], z[nx:], t)
 
-    def running(z, t):
-        return problem.rate * problem.cost.running(problem.plant, z[:nx], z[nx:], t)
-
     def terminal(x):
         return problem.cost.terminal(problem.plant, x)
 
-    running_hessian = jacobian(jax.grad(running), symmetric=True)
     fz = jax.vmap(jacobian(step))(zs, ts)
-    lz = jax.vmap(jax.grad(running))(zs, ts)
-    if problem.cost.running_is_quadratic:
-        hessian = running_hessian(jnp.zeros_like(zs[0]), ts[0])
-        lzz = jnp.broadcast_to(hessian, (len(zs), *hessian.shape))
-    else:
-        lzz = jax.vmap(running_hessian)(zs, ts)
+    lz, lzz = _running_terms(problem, zs, ts)
     vx = jax.grad(terminal)(xs[-1])
     at = jnp.zeros_like(xs[-1]) if problem.cost.terminal_is_quadratic else xs[-1]
     vxx = jacobian(jax.grad(terminal), symmetric=True)(at)
+
+    def residual(z, t):
+        return problem.residual(z[:nx], z[nx:], step(z, t))
+
+    rho = jnp.zeros((len(zs), 0), xs.dtype)
+    if step_costs(problem.cost):
+        rho, slopes = jax.vmap(residual)(zs, ts), jax.vmap(jacobian(residual))(zs, ts)
+        lz = lz + jnp.einsum("tmz,tm->tz", slopes, rho)
+        lzz = lzz + jnp.einsum("tmz,tmw->tzw", slopes, slopes)
 
     weights = []
     for group in problem.cost.events:
@@ -69,14 +71,34 @@ def expand(
     for k, weight in weights:
         p = p.at[k].add(weight)
 
-    def slope(z, p, t):
-        return jax.grad(lambda z: jnp.sum(p * step(z, t)))(z)
+    def slope(z, p, rho, t):
+        def weighted(z):
+            value = jnp.sum(p * step(z, t))
+            return value + jnp.sum(rho * residual(z, t)) if rho.size else value
+
+        return jax.grad(weighted)(z)
 
     def exact():
-        return lzz + jax.vmap(jacobian(slope, symmetric=True))(zs, p, ts)
+        return lzz + jax.vmap(jacobian(slope, symmetric=True))(zs, p, rho, ts)
 
     lzz = exact() if second_order is True else jax.lax.cond(second_order, exact, lambda: lzz)
     return _blocks(fz, lz, lzz, vx, vxx)
+
+
+def _running_terms(problem: Problem, zs, ts):
+    """Return the gradients (T, nz) and Hessians (T, nz, nz) of the running cost in z = (x, u)."""
+    nx = problem.plant.nx
+
+    def running(z, t):
+        return problem.rate * problem.cost.running(problem.plant, z[:nx], z[nx:], t)
+
+    hessian = jacobian(jax.grad(running), symmetric=True)
+    if problem.cost.running_is_quadratic:
+        once = hessian(jnp.zeros_like(zs[0]), ts[0])
+        lzz = jnp.broadcast_to(once, (len(zs), *once.shape))
+    else:
+        lzz = jax.vmap(hessian)(zs, ts)
+    return jax.vmap(jax.grad(running))(zs, ts), lzz
 
 
 def _event_terms(problem: Problem, group, xs, fz):
@@ -131,7 +153,10 @@ def stage_lagrangian(
     def stage(z, p, t):
         x, u = z[:nx], z[nx:]
         cost = problem.rate * problem.cost.running(problem.plant, x, u, t)
-        return cost + jnp.sum(p * problem.step(x, u, t))
+        after = problem.step(x, u, t)
+        if step_costs(problem.cost):
+            cost = cost + 0.5 * jnp.sum(problem.residual(x, u, after) ** 2)
+        return cost + jnp.sum(p * after)
 
     values, lz = jax.vmap(jax.value_and_grad(stage))(zs, p, ts)
     last, vx = jax.value_and_grad(lambda x: problem.cost.terminal(problem.plant, x))(xs[-1])

@@ -40,10 +40,23 @@ class AbstractPlant(eqx.Module):
         """Return the derivative of the state (continuous) or the next state (discrete), (nx,)."""
 
 
-class AbstractArm(AbstractPlant):
+class AbstractHand(AbstractPlant):
+    """A plant with a hand that moves in the plane: what every movement task asks for."""
+
+    @abc.abstractmethod
+    def hand(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
+        """Return the position of the hand [m], shape (2,), at a state x (nx,)."""
+
+    @abc.abstractmethod
+    def hand_velocity(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
+        """Return the velocity of the hand [m/s], shape (2,), at a state x (nx,)."""
+
+
+class AbstractArm(AbstractHand):
     """A plant of joints whose state begins with the joint angles and their velocities.
 
-    State x = (q, dq, ...), with q of shape (num_joints,) in rad and dq in rad/s.
+    State x = (q, dq, ...), with q of shape (num_joints,) in rad and dq in rad/s; the joints obey
+    M(q) ddq = tau(x, u) + ..., with tau the torques that the arm is moved by.
     """
 
     num_joints: eqx.AbstractVar[int]
@@ -51,6 +64,19 @@ class AbstractArm(AbstractPlant):
     @abc.abstractmethod
     def hand_of_joints(self, q: Float[Array, " num_joints"]) -> Float[Array, "2"]:
         """Return the position e(q) of the hand [m], shape (2,), for joint angles q [rad]."""
+
+    @abc.abstractmethod
+    def mass_matrix(self, q: Float[Array, " n"]) -> Float[Array, "n n"]:
+        """Return M(q) [kg m^2], shape (n, n), for joint angles q (n,) [rad]."""
+
+    @abc.abstractmethod
+    def joint_torque(
+        self, x: Float[Array, " nx"], u: Float[Array, " nu"]
+    ) -> Float[Array, " num_joints"]:
+        """Return the torques tau [N m] by which motors or muscles move the joints, (num_joints,).
+
+        Friction and forces from outside are not among them.
+        """
 
     def hand(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
         """Return the position e(q) of the hand [m], shape (2,), at a state x (nx,).

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ._controller import clip
-from ._cost import AbstractCost, Events
+from ._cost import AbstractCost, Events, step_costs
 from ._integrate import AbstractIntegrator, Euler, NextState
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant
@@ -178,6 +178,9 @@ class Problem(eqx.Module):
         """
         running = jax.vmap(self.cost.running, in_axes=(None, 0, 0, 0))
         costs = self.rate * running(self.plant, xs[:-1], us, self.ts[:-1])
+        if step_costs(self.cost):
+            rho = jax.vmap(self.residual)(xs[:-1], us, xs[1:])
+            costs = costs + 0.5 * jnp.sum(rho**2, axis=1)
         for group in self.cost.events:
             k, value, _ = self.event_values(group, xs)
             costs = costs.at[k].add(value)
@@ -186,6 +189,14 @@ class Problem(eqx.Module):
     def total_cost(self, xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"]) -> Float[Array, ""]:
         """Return the cost of a trajectory xs (T+1, nx), us (T, nu), shape ()."""
         return jnp.sum(self.stage_costs(xs, us))
+
+    def residual(
+        self, x: Float[Array, " nx"], u: Float[Array, " nu"], after: Float[Array, " nx"]
+    ) -> Float[Array, " m"]:
+        """Return the residuals (m,) of the costs of one step, whose cost is half their square."""
+        root = jnp.sqrt(jnp.asarray(self.rate, x.dtype))
+        parts = (part.residual(self.plant, x, u, after, self.dt) for part in step_costs(self.cost))
+        return root * jnp.concatenate([jnp.zeros((0,), x.dtype), *parts])
 
     def event_steps(self, times: Float[Array, " m"]) -> tuple[Array, Array]:
         """Return the step k (m,) in which each time lies, and the fraction of that step (m,).

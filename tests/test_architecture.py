@@ -36,14 +36,16 @@ FLOORS = {
     "plants": 3,
     "tasks": 3,
     "plot": 3,
+    "analysis": 3,
     "solvers": 4,
+    "models": 5,
     "experiments": 6,
     "cli": 7,
 }
 # On one floor, a file may import one that comes earlier here.
 WITHIN = {
     1: ["_plant", "_cost", "_noise", "_integrate", "_controller"],
-    3: ["_simulate", "_local_model"],
+    3: ["_simulate", "_local_model", "plants", "tasks"],
 }
 SOLVERS = [
     "_abstract", "line_search", "shooting", "ilqr", "ddp", "_solution", "_adjoint", "_solve",

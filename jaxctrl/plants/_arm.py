@@ -207,6 +207,10 @@ class TorqueArm(AbstractArm):
         """Return C(q, dq) [N m], shape (2,), for q (2,) [rad] and dq (2,) [rad/s]."""
         return self.skeleton.coriolis(q, dq)
 
+    def joint_torque(self, x: Float[Array, "4"], u: Float[Array, "2"]) -> Float[Array, "2"]:
+        """Return the torques at shoulder and elbow [N m], shape (2,): the control u (2,) itself."""
+        return u
+
     def kinetic_energy(self, x: Float[Array, "4"]) -> Float[Array, ""]:
         """Return the kinetic energy [J], shape (), of a state x (4,)."""
         return self.skeleton.kinetic_energy(x[:2], x[2:4])

@@ -158,6 +158,10 @@ class Chain(AbstractArm):
         linear = jnp.einsum("i,ijk,ijl->kl", self.mass, jacobian, jacobian)
         return linear + jnp.einsum("i,ik,il->kl", spin, turning, turning)
 
+    def joint_torque(self, x: Float[Array, " nx"], u: Float[Array, " n"]) -> Float[Array, " n"]:
+        """Return the torques at the joints [N m], shape (n,): the control u (n,) itself."""
+        return u
+
     def kinetic_energy(self, x: Float[Array, " nx"]) -> Float[Array, ""]:
         """Return sum_i m_i (|v_i|^2 + l_i^2 w_i^2/12)/2 [J], shape (), of a state x (2 n,)."""
         n = self.num_joints

@@ -194,6 +194,10 @@ class MuscleArm(AbstractArm):
         """Return the torques R(q) T at shoulder and elbow [N m], shape (2,), in a state x (10,)."""
         return jnp.sum(self.moment_arms(x[:2]) * self.muscle_tension(x), axis=1)
 
+    def joint_torque(self, x: Float[Array, "10"], u: Float[Array, "6"]) -> Float[Array, "2"]:
+        """Return the muscles' torques R(q) T [N m], shape (2,); they do not depend on u (6,)."""
+        return self.muscle_torque(x)
+
     def hand_of_joints(self, q: Float[Array, "2"]) -> Float[Array, "2"]:
         """Return the hand's position [m], shape (2,); see `TwoLinkArm.hand`."""
         return self.skeleton.hand(q)

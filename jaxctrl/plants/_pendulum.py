@@ -67,6 +67,14 @@ class Pendulum(AbstractArm):
         """Return the position of the bob, (l sin q, l cos q) [m], shape (2,), for q (1,) [rad]."""
         return self.l * jnp.stack([jnp.sin(q[0]), jnp.cos(q[0])])
 
+    def mass_matrix(self, q: Float[Array, "1"]) -> Float[Array, "1 1"]:
+        """Return m l^2 [kg m^2], shape (1, 1), whatever the angle q (1,) [rad]."""
+        return (self.m * self.l**2)[None, None]
+
+    def joint_torque(self, x: Float[Array, "2"], u: Float[Array, "1"]) -> Float[Array, "1"]:
+        """Return the torque at the pivot [N m], shape (1,): the control u (1,) itself."""
+        return u
+
     def at_rest(self, angle: ArrayLike) -> Float[Array, "2"]:
         """Return the state (angle, 0), shape (2,), for an angle from upright [rad].
 

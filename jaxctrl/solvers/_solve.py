@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike
 
 from .. import _status
 from .._controller import AffinePolicy
+from .._cost import parts, step_costs
 from .._problem import Problem, check_us, check_x0, is_concrete
 from .._status import Reason, Status
 from .._types import promote
@@ -60,6 +61,9 @@ def solve(
     start, controls = check_x0(problem, x0), check_us(problem, us)
     problem, start, controls = promote((problem, start, controls))
     _check_finite(problem)
+    for part in parts(problem.cost):
+        if (check := getattr(part, "check_start", None)) is not None:
+            check(problem.plant, start)
     _warn(problem, solver, start.dtype)
     solution = run(problem, solver, start, controls, max_steps)
     return _throw(solution) if throw else solution
@@ -111,6 +115,14 @@ def _check_functions(problem: Problem, x0: Array, us: Array) -> None:
             ("cost's event", lambda group=group: group.value(plant, x0, 0), scalar)
             for group in cost.events
         ),
+        *(
+            (
+                f"{type(part).__name__}.residual",
+                lambda part=part: part.residual(plant, x0, us[0], x0, problem.dt),
+                (None, "(m,)"),
+            )
+            for part in step_costs(cost)
+        ),
     )
     for name, call, (shape, wanted) in calls:
         try:
@@ -125,7 +137,7 @@ def _check_functions(problem: Problem, x0: Array, us: Array) -> None:
                 f"{name}: returned a {type(out).__name__}, wanted one array {wanted}; jnp.array "
                 "or jnp.stack makes it one"
             )
-        if got != shape:
+        if (got != shape) if shape is not None else len(got) != 1:
             raise ValueError(f"{name}: returned {got}, wanted {wanted}")
         if out.dtype != x0.dtype:
             raise TypeError(

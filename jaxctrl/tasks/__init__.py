@@ -4,6 +4,8 @@ Targets, points, times and weights are array leaves: changing one does not recom
 """
 
 from ._costs import (
+    Effort as Effort,
+    HandPath as HandPath,
     HandTarget as HandTarget,
     Obstacle as Obstacle,
     PostureTarget as PostureTarget,
@@ -16,5 +18,6 @@ from ._movements import (
     posture as posture,
     reach as reach,
     swing_up as swing_up,
+    track as track,
     via as via,
 )

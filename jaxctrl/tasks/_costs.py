@@ -3,11 +3,42 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._cost import AbstractCost, Events
+from .._cost import AbstractCost, Events, quadratic_form
+from .._problem import is_concrete
 from .._types import array_leaf
+from ..plants import RateControlled
+
+
+class Effort(AbstractCost):
+    """Rate c'R c/2 of the controls c that move the plant: the energy of Li (2006), eq. 3.20.
+
+    Of a `RateControlled` plant these are its torques, not their rates.
+
+    Arguments:
+        weight: R, scalar, (nu,) or (nu, nu); symmetric part only.
+    """
+
+    weight: Float[Array, "..."] = eqx.field(converter=array_leaf, default=1e-4)
+    running_is_quadratic: bool = eqx.field(static=True, default=True, init=False)
+    terminal_is_quadratic: bool = eqx.field(static=True, default=True, init=False)
+
+    def running(self, plant: Any, x, u, t):
+        """Return c'R c/2, shape ()."""
+        command = plant.command(x) if isinstance(plant, RateControlled) else u
+        return quadratic_form(self.weight, command, "effort")
+
+    def terminal(self, plant: Any, x):
+        """Return zero, shape ()."""
+        return jnp.zeros((), x.dtype)
+
+    @property
+    def events(self):
+        """None."""
+        return ()
 
 
 class HandTarget(AbstractCost):
@@ -101,6 +132,16 @@ class Obstacle(AbstractCost):
         distance = jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
         return jnp.where(squared > 0, distance, 0.0) - self.radius
 
+    def check_start(self, plant: Any, x0) -> None:
+        """Raise ValueError when the hand is known to start inside the disc, from x0 (nx,)."""
+        if is_concrete(x0, self.centre, self.radius):
+            gap = self.clearance(plant.hand(x0))
+            if is_concrete(gap) and not gap > 0:
+                raise ValueError(
+                    f"x0: the hand starts inside the obstacle, {float(gap + self.radius):.4g} m "
+                    f"from its centre; its radius is {float(self.radius):.4g} m"
+                )
+
     def running(self, plant: Any, x, u, t):
         """Return the rate, shape (); inf inside the disc."""
         gap = self.clearance(plant.hand(x))
@@ -110,6 +151,45 @@ class Obstacle(AbstractCost):
     def terminal(self, plant: Any, x):
         """Return zero, shape ()."""
         return jnp.zeros((), x.dtype)
+
+    @property
+    def events(self):
+        """None."""
+        return ()
+
+
+class HandPath(AbstractCost):
+    """Rate w |e(t) - e*(t)|^2 of leaving a path in time, and w_T |e(T) - e*(T)|^2 at the end.
+
+    Between its points, evenly spaced in time, the path is linear.
+
+    Arguments:
+        points: e* [m], shape (m, 2), the first at time 0 and the last at `duration` [s].
+        weight: w [1/(m^2 s)]. terminal_weight: w_T [1/m^2].
+    """
+
+    points: Float[Array, "m 2"] = eqx.field(converter=array_leaf)
+    duration: Float[Array, ""] = eqx.field(converter=array_leaf)
+    weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1.0)
+    terminal_weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=0.0)
+    running_is_quadratic: bool = eqx.field(static=True, default=False, init=False)
+    terminal_is_quadratic: bool = eqx.field(static=True, default=False, init=False)
+
+    def at(self, t) -> Float[Array, "2"]:
+        """Return e*(t) [m], shape (2,), at a time t [s]."""
+        last = self.points.shape[0] - 1
+        position = t / self.duration * last
+        k = jnp.clip(jnp.floor(jax.lax.stop_gradient(position)), 0, max(last - 1, 0)).astype(int)
+        before, after = self.points[k], self.points[jnp.minimum(k + 1, last)]
+        return before + (position - k) * (after - before)
+
+    def running(self, plant: Any, x, u, t):
+        """Return w |e - e*(t)|^2, shape ()."""
+        return self.weight * jnp.sum((plant.hand(x) - self.at(t)) ** 2)
+
+    def terminal(self, plant: Any, x):
+        """Return w_T |e - e*(T)|^2, shape ()."""
+        return self.terminal_weight * jnp.sum((plant.hand(x) - self.points[-1]) ** 2)
 
     @property
     def events(self):

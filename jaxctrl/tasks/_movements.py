@@ -1,16 +1,18 @@
-"""Movements as control problems: reach, posture, swing up, avoid, hit, pass through."""
+"""Movements as control problems: reach, posture, swing up, avoid, hit, pass through, track."""
+
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from .._cost import AbstractCost, QuadraticCost
 from .._noise import SignalDependentNoise
-from .._plant import AbstractArm, AbstractPlant
+from .._plant import AbstractArm, AbstractHand, AbstractPlant
 from .._problem import Problem, check_array, is_concrete
 from .._types import array_leaf
-from ._costs import HandTarget, Obstacle, PostureTarget, ViaPoints
+from ._costs import Effort, HandPath, HandTarget, Obstacle, PostureTarget, ViaPoints
 
 STEP = 0.01
 """The time step [s] aimed at when `num_steps` is not given."""
@@ -35,9 +37,9 @@ def _grid(duration: ArrayLike, num_steps: int | None) -> tuple[int, ArrayLike]:
     return num_steps, duration / num_steps
 
 
-def _check_arm(plant: AbstractPlant) -> AbstractArm:
-    if not isinstance(plant, AbstractArm):
-        raise TypeError(f"plant: one with joints and a hand is wanted, got {type(plant).__name__}")
+def _check_hand(plant: AbstractPlant) -> AbstractHand:
+    if not isinstance(plant, AbstractHand):
+        raise TypeError(f"plant: one with a hand is wanted, got {type(plant).__name__}")
     return plant
 
 
@@ -58,11 +60,11 @@ def _problem(plant, cost: AbstractCost, duration, num_steps, effort, motor_noise
     _check_weights(effort=effort, motor_noise=motor_noise)
     num_steps, dt = _grid(duration, num_steps)
     noise = None if motor_noise is None else SignalDependentNoise(motor_noise)
-    return Problem(plant, cost + QuadraticCost(R=effort), num_steps=num_steps, dt=dt, noise=noise)
+    return Problem(plant, cost + Effort(effort), num_steps=num_steps, dt=dt, noise=noise)
 
 
 def reach(
-    plant: AbstractArm,
+    plant: AbstractHand,
     target: Float[ArrayLike, "2"],
     duration: ArrayLike = 0.5,
     *,
@@ -77,7 +79,7 @@ def reach(
     J = w1 |e(T) - e*|^2 + w2 |de(T)/dt|^2 + int r |u|^2 / 2 dt  (Li 2006, eq. 3.20)
 
     Arguments:
-        plant: any arm.
+        plant: any with a hand: an arm, an arm in a force field.
         target: e* [m], shape (2,).
         duration: T [s].
         num_steps: steps in it; by default as many as make the time step about 10 ms. Static.
@@ -101,7 +103,7 @@ def reach(
 
 
 def hit(
-    plant: AbstractArm,
+    plant: AbstractHand,
     target: Float[ArrayLike, "2"],
     velocity: Float[ArrayLike, "2"],
     duration: ArrayLike = 0.5,
@@ -125,7 +127,7 @@ def hit(
         position_weight,
         velocity_weight,
     )
-    return _problem(_check_arm(plant), cost, duration, num_steps, effort, motor_noise)
+    return _problem(_check_hand(plant), cost, duration, num_steps, effort, motor_noise)
 
 
 def posture(
@@ -151,7 +153,9 @@ def posture(
 
     Returns: `Problem`. Raises as `reach` does.
     """
-    angles = check_array("angles", angles, (_check_arm(plant).num_joints,))
+    if not isinstance(plant, AbstractArm):
+        raise TypeError(f"plant: one with joints is wanted, got {type(plant).__name__}")
+    angles = check_array("angles", angles, (plant.num_joints,))
     cost = PostureTarget(angles, velocity_weight=1.0 if stop else 0.0)
     return _problem(plant, cost, duration, num_steps, effort, motor_noise)
 
@@ -180,7 +184,7 @@ def swing_up(
 
 
 def obstacle(
-    plant: AbstractArm,
+    plant: AbstractHand,
     target: Float[ArrayLike, "2"],
     centre: Float[ArrayLike, "2"],
     radius: ArrayLike = 0.02,
@@ -202,7 +206,9 @@ def obstacle(
             may be a local optimum: try other starts.
         plant, target, duration and all further arguments: as in `reach`.
 
-    Returns: `Problem`. Raises as `reach` does, and ValueError when the disc contains the target.
+    Returns: `Problem`. Raises as `reach` does, and ValueError when the disc contains the target;
+    `jc.solve` raises it when the disc contains the hand at x0 (under jit: a status). Either needs
+    known values.
     """
     _check_weights(radius=radius, obstacle_weight=obstacle_weight)
     problem = reach(plant, target, duration, **reach_arguments)
@@ -218,7 +224,7 @@ def obstacle(
 
 
 def via(
-    plant: AbstractArm,
+    plant: AbstractHand,
     target: Float[ArrayLike, "2"],
     points: Float[ArrayLike, "m 2"],
     times: Float[ArrayLike, " m"],
@@ -249,6 +255,44 @@ def via(
     return _with_cost(problem, ViaPoints(points, times, via_weight))
 
 
+def track(
+    plant: AbstractHand,
+    path: Float[ArrayLike, "m 2"] | Callable[[Float[Array, ""]], Float[ArrayLike, "2"]],
+    duration: ArrayLike,
+    *,
+    num_steps: int | None = None,
+    path_weight: ArrayLike = 10.0,
+    effort: ArrayLike = 1e-4,
+    motor_noise: ArrayLike | None = None,
+) -> Problem:
+    """Follow a path in time with the hand.
+
+    J = int w |e - e*(t)|^2 dt + w dt |e(T) - e*(T)|^2 + int r |u|^2 / 2 dt
+
+    The second term gives the last state the weight of all the others.
+
+    Arguments:
+        plant: any with a hand.
+        path: e*, positions [m] evenly spaced in time from 0 to T, shape (m, 2), m >= 2, linear in
+            between; or a function of the time t [s] that returns one, shape (2,), and is sampled
+            at the grid points. Start the hand where the path starts.
+        duration: T [s].
+        path_weight: w [1/(m^2 s)]; 10 is our choice.
+        num_steps, effort, motor_noise: as in `reach`.
+
+    Returns: `Problem`. Raises as `reach` does.
+    """
+    _check_weights(path_weight=path_weight)
+    num_steps, dt = _grid(duration, num_steps)
+    if isinstance(path, Callable):
+        position = path  # may return a list of two
+        path = jax.vmap(lambda t: jnp.asarray(position(t)))(jnp.arange(num_steps + 1) * dt)
+    m = np.shape(path)[0] if np.ndim(path) == 2 else 2
+    points = check_array("path", path, (max(m, 2), 2), "at least two rows of x and y")
+    cost = HandPath(points, duration, path_weight, path_weight * dt)
+    return _problem(_check_hand(plant), cost, duration, num_steps, effort, motor_noise)
+
+
 def _with_cost(problem: Problem, cost: AbstractCost) -> Problem:
     return Problem(
         problem.plant,
@@ -260,7 +304,7 @@ def _with_cost(problem: Problem, cost: AbstractCost) -> Problem:
 
 
 def centre_out(
-    plant: AbstractArm,
+    plant: AbstractHand,
     x0: Float[ArrayLike, " nx"],
     *,
     n: int = 8,
@@ -283,7 +327,7 @@ def centre_out(
     """
     if n < 1:
         raise ValueError(f"n: at least one direction is wanted, got {n}")
-    x0 = check_array("x0", x0, (_check_arm(plant).nx,))
+    x0 = check_array("x0", x0, (_check_hand(plant).nx,))
     num_steps, dt = _grid(duration, reach_arguments.pop("num_steps", None))
     angles = 2 * jnp.pi * jnp.arange(n) / n
     offsets = radius * jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=1)

@@ -1,0 +1,187 @@
+"""One task under several models, side by side."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import ArrayLike
+from matplotlib.figure import Figure
+
+from .. import analysis, plot
+from .._cost import parts
+from .._problem import Problem
+from ..solvers import DDP, AbstractSolver
+from ..solvers._solution import Solution
+from ..solvers._solve import solve
+from ..tasks import HandTarget, Obstacle, ViaPoints
+from ._models import AbstractModel
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Hold one task as several models have it; printed, a table.
+
+    Arguments:
+        task: the task. models: what was compared; names: one name for each.
+        problems, solutions: the models' problems and their solutions, in the order of `models`.
+        ts: times [s], (T+1,). hands: positions [m], (m, T+1, 2). velocities: [m/s], the same shape.
+    """
+
+    task: Problem
+    models: tuple[AbstractModel, ...]
+    names: tuple[str, ...]
+    problems: tuple[Problem, ...]
+    solutions: tuple[Solution, ...]
+    ts: np.ndarray
+    hands: np.ndarray
+    velocities: np.ndarray
+
+    @property
+    def ok(self) -> bool:
+        """Whether every solve converged."""
+        return all(bool(solution.status.ok) for solution in self.solutions)
+
+    @property
+    def speeds(self) -> np.ndarray:
+        """The hand's speeds [m/s], (m, T+1)."""
+        return np.linalg.norm(self.velocities, axis=-1)
+
+    @property
+    def distances(self) -> np.ndarray:
+        """The paths' root mean square distances [m], (m, m): `analysis.path_distance`."""
+        return np.array([[analysis.path_distance(a, b) for a in self.hands] for b in self.hands])
+
+    def __str__(self) -> str:
+        head = (
+            "model",
+            "status",
+            "iterations",
+            "peak speed",
+            "at",
+            "peaks",
+            "deviation",
+            "end error",
+        )
+        rows = [head, ("", "", "", "m/s", "s", "", "mm", "mm")]
+        targets = _targets(self.task)
+        for name, solution, hand, speed in zip(
+            self.names, self.solutions, self.hands, self.speeds, strict=True
+        ):
+            found = analysis.speed_peaks(self.ts, speed)
+            at = found.peak_times[found.peak_speeds.argmax()] if len(found.peak_times) else np.nan
+            straight = np.linalg.norm(hand[-1] - hand[0]) > 1e-9
+            aside = abs(float(analysis.deviation(hand))) if straight else np.nan
+            error = np.linalg.norm(hand[-1] - targets[-1]) if len(targets) else np.nan
+            rows.append(
+                (
+                    name,
+                    solution.status.name,
+                    f"{int(solution.num_steps)}",
+                    f"{speed.max():.3f}",
+                    f"{at:.3f}",
+                    f"{len(found.peak_times)}",
+                    f"{1e3 * aside:.2f}",
+                    f"{1e3 * error:.3f}",
+                )
+            )
+        widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
+        lines = []
+        for row in rows:
+            cells = [row[0].ljust(widths[0]), row[1].ljust(widths[1])]
+            cells += [cell.rjust(width) for cell, width in zip(row[2:], widths[2:], strict=True)]
+            lines.append("  ".join(cells).rstrip())
+        bad = [
+            f"{name}: {solution.status.message}"
+            for name, solution in zip(self.names, self.solutions, strict=True)
+            if not bool(solution.status.ok)
+        ]
+        return "\n".join(lines + bad)
+
+    def figure(self) -> Figure:
+        """Draw the paths, with targets, via-points and obstacles, beside the speed profiles."""
+        figure, axes = plot.panels(1, 2, size=(7.5, 3.0))
+        found = parts(self.task.cost)
+        via = [part.points for part in found if isinstance(part, ViaPoints)]
+        discs = [
+            [*np.asarray(part.centre), float(part.radius)]
+            for part in found
+            if isinstance(part, Obstacle)
+        ]
+        plot.hand_paths(
+            list(self.hands),
+            _targets(self.task),
+            via=np.concatenate(via) if via else None,
+            obstacles=discs or None,
+            labels=self.names,
+            ax=axes[0, 0],
+        )
+        plot.speed_profiles(self.ts, list(self.speeds), labels=self.names, ax=axes[0, 1])
+        if (legend := axes[0, 1].get_legend()) is not None:
+            legend.remove()  # the one beside the paths is for both
+        return figure
+
+
+def _targets(task: Problem) -> np.ndarray:
+    """Return the targets of the hand [m], (n, 2)."""
+    found = [part.position for part in parts(task.cost) if isinstance(part, HandTarget)]
+    return np.array(found).reshape(-1, 2)
+
+
+def compare(
+    models: Sequence[AbstractModel],
+    task: Problem,
+    x0: ArrayLike,
+    solver: AbstractSolver | None = None,
+    *,
+    max_steps: int = 500,
+) -> Comparison:
+    """Solve one task as several models have it.
+
+    Arguments:
+        models: such as `jc.models.MinimumJerk()`.
+        task: a movement made by `jc.tasks`.
+        x0: the starting state of the task's plant, shape (nx,); each model makes its own of it.
+        solver, max_steps: as in `jc.solve`; `DDP()` by default, whose convergence does not slow
+            down where the costs of torque changes make an ILQR's do so.
+
+    Returns: `Comparison`: print it, draw its `figure()`, look at `ok`.
+
+    Raises TypeError or ValueError, naming the argument, for what does not fit, such as a posture
+    for a model of the hand alone.
+    """
+    models = (models,) if isinstance(models, AbstractModel | type) else tuple(models)
+    for model in models:
+        if not isinstance(model, AbstractModel):
+            hint = "; write MinimumJerk() with parentheses" if isinstance(model, type) else ""
+            raise TypeError(f"models: a model is wanted, got {model!r}{hint}")
+    if not given:
+        raise ValueError("models: at least one is wanted, got none")
+    problems = tuple(model.problem(task) for model in given)
+    starts = [model.start(task, x0) for model in given]
+    solutions = tuple(
+        solve(problem, DDP() if solver is None else solver, start, max_steps=max_steps)
+        for problem, start in zip(problems, starts, strict=True)
+    )
+    motions = [hand_motion(p, s.xs) for p, s in zip(problems, solutions, strict=True)]
+    hands, velocities = (np.stack([np.asarray(m[i]) for m in motions]) for i in range(2))
+    return Comparison(
+        task, given, _names(given), problems, solutions, np.asarray(task.ts), hands, velocities
+    )
+
+
+def _names(models: Sequence[AbstractModel]) -> tuple[str, ...]:
+    """Return the models' names, numbered where one occurs twice."""
+    names = [model.name for model in models]
+    return tuple(
+        name if names.count(name) == 1 else f"{name} {names[: i + 1].count(name)}"
+        for i, name in enumerate(names)
+    )
+
+
+@eqx.filter_jit
+def hand_motion(problem: Problem, xs) -> tuple[jax.Array, jax.Array]:
+    """Return positions [m] and velocities [m/s] of the hand, each (T+1, 2), for xs (T+1, nx)."""
+    plant = problem.plant
+    return jax.vmap(plant.hand)(xs), jax.vmap(plant.hand_velocity)(xs)  # pyright: ignore

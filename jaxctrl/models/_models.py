@@ -1,0 +1,271 @@
+"""Theories of what a movement optimises, each applied to a task that is stated once."""
+
+import abc
+import functools
+import operator
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from .._cost import AbstractCost, parts
+from .._jacobian import dependence
+from .._plant import AbstractArm, AbstractHand
+from .._problem import Problem, check_array, check_x0, is_concrete
+from .._types import array_leaf
+from ..plants import FreeHand, PolynomialJerk, RateControlled
+from ..tasks import Effort, HandPath, HandTarget, Obstacle, PostureTarget, ViaPoints
+from ._costs import Balance, HandJerk, PolynomialJerkCost, TorqueChange
+
+OF_THE_HAND = (HandTarget, HandPath, ViaPoints, Obstacle)
+
+
+class AbstractModel(eqx.Module):
+    """What a movement optimises, besides reaching its goals.
+
+    `problem(task)` keeps a task's plant, goals and grid, and puts the model's cost in the place of
+    the task's `Effort`; `start(task, x0)` gives the state from which to solve it. Models are
+    deterministic: the task's noise is left out.
+
+    Attributes:
+        name: what the model is called.
+        source: who proposed it.
+        smooth: whether its cost is of the torques' rate of change, so that torques that are
+            controls become states (`RateControlled`).
+    """
+
+    name: eqx.AbstractClassVar[str]
+    source: eqx.AbstractClassVar[str]
+    smooth: eqx.AbstractClassVar[bool]
+
+    @abc.abstractmethod
+    def cost(self, plant: AbstractArm) -> AbstractCost:
+        """Return the model's cost on an arm."""
+
+    @abc.abstractmethod
+    def problem(self, task: Problem) -> Problem:
+        """Return the task as this model has it.
+
+        Raises TypeError for a task whose plant or goals the model cannot take.
+        """
+
+    @abc.abstractmethod
+    def start(self, task: Problem, x0: ArrayLike) -> Float[Array, " n"]:
+        """Return the model's starting state (n,) for a state x0 (nx,) of the task's plant.
+
+        Raises ValueError, naming x0, when it does not fit.
+        """
+
+
+def goals(task: Problem) -> tuple[AbstractCost, ...]:
+    """Return the parts of a task's cost that are not its effort.
+
+    Raises TypeError for what is no problem, or one whose goals a model cannot tell from effort.
+    """
+    if not isinstance(task, Problem):
+        raise TypeError(f"task: a problem such as jc.tasks.reach(...) is wanted, got {task!r}")
+    found = tuple(part for part in parts(task.cost) if not isinstance(part, Effort))
+    for part in found:
+        if not isinstance(part, (*OF_THE_HAND, PostureTarget)):
+            raise TypeError(
+                f"task: one made by jc.tasks, of costs of the hand or posture, is wanted, got "
+                f"{type(part).__name__}"
+            )
+    return found
+
+
+def _replace(task: Problem, plant: AbstractHand, cost: AbstractCost, integrator) -> Problem:
+    """Return the task's goals and grid with another plant, and `cost` in place of its effort."""
+    for goal in reversed(goals(task)):
+        cost = goal + cost
+    return Problem(plant, cost, num_steps=task.num_steps, dt=task.dt, integrator=integrator)
+
+
+def _arm(task: Problem, model: AbstractModel) -> AbstractArm:
+    goals(task)
+    if not isinstance(task.plant, AbstractArm):
+        raise TypeError(
+            f"task: {model.name} wants a plant with joints, got {type(task.plant).__name__}"
+        )
+    return task.plant
+
+
+def _on_arm(model: AbstractModel, task: Problem) -> Problem:
+    """Return the problem of a model that moves the task's own arm."""
+    arm = _moved(model, _arm(task, model))
+    problem = _replace(task, arm, model.cost(arm), task.integrator)
+    if task.control_bounds is None:
+        return problem
+    if arm is not task.plant:
+        raise ValueError(
+            f"task: {model.name} makes the torques states, which have no bounds, but the task has "
+            "control_bounds"
+        )
+    return eqx.tree_at(
+        lambda p: p.control_bounds, problem, task.control_bounds, is_leaf=lambda leaf: leaf is None
+    )
+
+
+def _moved(model: AbstractModel, arm: AbstractArm) -> AbstractArm:
+    """Return the arm, with its torques made states where the model wants their rate of change."""
+    x, u = jnp.zeros((arm.nx,)), jnp.zeros((arm.nu,))
+    jumps = dependence(lambda u: arm.joint_torque(x, u), u).any()
+    return RateControlled(arm) if model.smooth and jumps else arm
+
+
+def _start_on_arm(model: AbstractModel, task: Problem, x0: ArrayLike) -> Array:
+    arm, x0 = _moved(model, _arm(task, model)), check_x0(task, x0)
+    return arm.lift(x0) if isinstance(arm, RateControlled) else x0
+
+
+class MinimumEnergy(AbstractModel):
+    """Least control energy, int r |u|^2/2 dt (Li 2006, eq. 3.20; section 3.5).
+
+    Arguments:
+        weight: r, as `effort` in `jc.tasks.reach`.
+    """
+
+    weight: Float[Array, "..."] = eqx.field(converter=array_leaf, default=1e-4)
+    name: ClassVar[str] = "minimum energy"
+    source: ClassVar[str] = "Li (2006), section 3.5; Todorov & Jordan (2002)"
+    smooth: ClassVar[bool] = False
+
+    def cost(self, plant):
+        """Return r |u|^2/2 per second."""
+        return Effort(self.weight)
+
+    def problem(self, task):
+        """Return the task with its own plant and this effort."""
+        return _on_arm(self, task)
+
+    def start(self, task, x0):
+        """Return x0 (nx,)."""
+        return _start_on_arm(self, task, x0)
+
+
+class MinimumTorqueChange(AbstractModel):
+    """Least change of the joint torques, w/2 int |dtau/dt|^2 dt (Uno, Kawato & Suzuki 1989).
+
+    Li (2006), eq. 2.3 and section 3.5. Torques that are controls become states, and their rates of
+    change the controls; muscles are moved as they are, with a small effort, because two torques do
+    not tell six muscles. At the end the torques hold the posture (`Balance`), and are free to
+    change.
+
+    Arguments:
+        weight: w [s/(N m)^2]. Beside the task's w1 = 1 and w2 = 0.01, w = 1e-7 is so small that the
+            goal is reached, and the path no longer depends on w (see docs/design.md).
+        effort: r of the muscles' excitations; our choice.
+        balance: weight of the net torque at the end [1/(N m)^2]; zero frees it, as for a hit.
+    """
+
+    weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-7)
+    effort: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-5)
+    balance: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-4)
+    name: ClassVar[str] = "minimum torque change"
+    source: ClassVar[str] = "Uno, Kawato & Suzuki (1989); Li (2006), eq. 2.3"
+    smooth: ClassVar[bool] = True
+
+    def cost(self, plant):
+        """Return the cost of changing torques, of an unbalanced end, and of muscles' effort."""
+        cost = TorqueChange(self.weight) + Balance(self.balance)
+        return cost if isinstance(plant, RateControlled) else cost + Effort(self.effort)
+
+    def problem(self, task):
+        """Return the task on the arm whose torques cannot jump."""
+        return _on_arm(self, task)
+
+    def start(self, task, x0):
+        """Return x0 (nx,), with zero torques (x0, 0) where torques are states."""
+        return _start_on_arm(self, task, x0)
+
+
+class MinimumJerk(AbstractModel):
+    """Least jerk of the hand, w/2 int |d^3 e/dt^3|^2 dt (Flash & Hogan 1985).
+
+    Li (2006), eq. 2.1. Alone it is purely kinematic: the plant is a `FreeHand`, whatever arm the
+    task has, and the hand starts and ends without acceleration. The problem is linear-quadratic for
+    targets and via-points; `minimum_jerk` is its closed form. In a `WeightedSum` it is the jerk of
+    the arm's hand.
+
+    Arguments:
+        weight: w [s^5/m^2], so small beside w1 = 1 that the goal is reached. With an obstacle take
+            1e-8, or its k1 drives the hand far around: jerk has no natural price beside it.
+        acceleration_weight: of the squared acceleration at the end [s^4/m^2].
+    """
+
+    weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-12)
+    acceleration_weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-4)
+    name: ClassVar[str] = "minimum jerk"
+    source: ClassVar[str] = "Flash & Hogan (1985); Li (2006), eq. 2.1"
+    smooth: ClassVar[bool] = True
+
+    def cost(self, plant):
+        """Return the cost of the jerk of an arm's hand."""
+        return HandJerk(self.weight)
+
+    def problem(self, task):
+        """Return the task of a free hand.
+
+        Raises TypeError for goals that are not of the hand alone, such as a posture.
+        """
+        for goal in goals(task):
+            if not isinstance(goal, OF_THE_HAND):
+                raise TypeError(
+                    f"task: {self.name} moves the hand alone and has no {type(goal).__name__}"
+                )
+        cost = PolynomialJerkCost(self.weight, self.acceleration_weight)
+        return _replace(task, FreeHand(), cost, PolynomialJerk())
+
+    def start(self, task, x0):
+        """Return position, velocity and no acceleration of the hand, (6,), for x0 (nx,)."""
+        x0, plant = check_x0(task, x0), task.plant
+        if not isinstance(plant, AbstractHand):
+            raise TypeError(f"task: a plant with a hand is wanted, got {type(plant).__name__}")
+        hand, velocity = plant.hand(x0), plant.hand_velocity(x0)
+        return jnp.concatenate([hand, velocity, jnp.zeros_like(hand)])
+
+
+class WeightedSum(AbstractModel):
+    """Several models' costs on one arm, added with weights (Berret et al. 2011).
+
+    Arguments:
+        models: the models, whose own weights hold too; jerk is that of the arm's hand.
+        weights: one factor for each, shape (m,).
+
+    Raises ValueError when there is none, or not one weight for each, or a negative one.
+    """
+
+    models: tuple[AbstractModel, ...]
+    weights: Float[Array, " m"]
+    name: ClassVar[str] = "weighted sum"
+    source: ClassVar[str] = "Berret, Chiovetto, Nori & Pozzo (2011)"
+    smooth: ClassVar[bool] = True
+
+    def __init__(self, models: Sequence[AbstractModel], weights: ArrayLike):
+        self.models = (models,) if isinstance(models, AbstractModel | type) else tuple(models)
+        for model in self.models:
+            if not isinstance(model, AbstractModel) or isinstance(model, WeightedSum):
+                raise TypeError(f"models: models such as MinimumJerk() are wanted, got {model!r}")
+        if not self.models:
+            raise ValueError("models: at least one is wanted, got none")
+        self.weights = check_array("weights", weights, (len(self.models),), "one for each model")
+        if is_concrete(self.weights) and not bool((self.weights >= 0).all()):
+            raise ValueError(f"weights: at least 0 is wanted, got {self.weights}")
+
+    def cost(self, plant):
+        """Return the sum of the models' costs, each scaled by its weight."""
+        scaled = [
+            eqx.tree_at(lambda m: m.weight, model, weight * model.weight).cost(plant)  # pyright: ignore
+            for model, weight in zip(self.models, self.weights, strict=True)
+        ]
+        return functools.reduce(operator.add, scaled)
+
+    def problem(self, task):
+        """Return the task on the arm whose torques cannot jump."""
+        return _on_arm(self, task)
+
+    def start(self, task, x0):
+        """Return x0 (nx,), with zero torques (x0, 0) where torques are states."""
+        return _start_on_arm(self, task, x0)

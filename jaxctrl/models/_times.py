@@ -1,0 +1,233 @@
+"""The duration of a movement, and when it passes its via-points, as variables of the optimum."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy.optimize
+from jaxtyping import Array, ArrayLike
+
+from .._cost import SumCost
+from .._problem import Problem, check_us, check_x0
+from ..solvers import AbstractSolver
+from ..solvers._solution import Solution
+from ..solvers._solve import solve
+from ..tasks import HandPath, ViaPoints
+
+GAP = 0.02
+"""Least time between two events, as a fraction of the duration; our choice."""
+
+
+@dataclass(frozen=True)
+class OptimalTimes:
+    """Hold a movement whose times were optimised.
+
+    Arguments:
+        problem: the problem with these times. solution: its solution.
+        value: J + price T, at these times.
+        duration: T [s]. times: passing times t_i [s], shape (m,).
+        ok: whether the search over times, and the last solve, converged.
+        message: what SciPy or the solve says of it.
+        history: the values of J + price T that were tried, in order.
+    """
+
+    problem: Problem
+    solution: Solution
+    value: float
+    duration: float
+    times: np.ndarray
+    ok: bool
+    message: str
+    history: tuple[float, ...]
+
+    def __str__(self) -> str:
+        head = f"Optimal times, {'converged' if self.ok else 'NOT converged'}"
+        rows = [
+            ("value", f"{self.value:.6g}"),
+            ("duration", f"{self.duration:.6g} s"),
+            ("evaluations", f"{len(self.history)}"),
+        ]
+        if self.times.size:
+            rows.insert(2, ("passing", ", ".join(f"{t:.6g}" for t in self.times) + " s"))
+        return "\n".join([head, *(f"  {n:<12}{v}" for n, v in rows), f"  {self.message}"])
+
+
+def optimise_times(
+    problem: Problem,
+    solver: AbstractSolver,
+    x0: ArrayLike,
+    us: ArrayLike | None = None,
+    *,
+    duration: tuple[float, float] | None = None,
+    price: ArrayLike = 0.0,
+    passing: bool = False,
+) -> OptimalTimes:
+    """Choose a movement's duration, or when it passes its via-points, at the least total cost.
+
+    minimise  J*(T, t_1 ... t_m) + price T,  J* the optimal cost for fixed times
+
+    by SciPy's SLSQP with the exact derivatives of J* (the envelope theorem, through `solve`). The
+    number of steps stays, the time step follows the duration. Times are kept apart, and from start
+    and end, by a fiftieth of the duration. Each solve starts from the controls of the best one so
+    far: the optimum is a local one.
+
+    Arguments:
+        problem: what to move; made by `jc.tasks`, its via-points and path are known.
+        solver, x0, us: as in `jc.solve`; us is the start of the first solve.
+        duration: least and largest T [s] when T is free; a tracked path is stretched with it, given
+            passing times are not. None leaves T as it is.
+        price: cost of a second. With a free duration it should be positive: slower is cheaper.
+        passing: whether the passing times of via-points are free.
+
+    Returns: `OptimalTimes`; look at `ok`.
+
+    Raises ValueError or TypeError, naming the argument, for what does not fit: no free time, a pair
+    that is no range, no via-points.
+    """
+    if not isinstance(problem, Problem):
+        raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
+    x0, us = check_x0(problem, x0), check_us(problem, us)
+    start = float(problem.duration)
+    given = _passing(problem.cost)
+    if duration is None and not passing:
+        raise ValueError("duration, passing: at least one is wanted, or no time is free")
+    if passing and not given.size:
+        raise ValueError("passing: the problem has no via-points whose times could be free")
+    pair = (start, start) if duration is None else duration
+    if np.shape(pair) != (2,) or not 0 < pair[0] <= pair[1] < np.inf:
+        raise ValueError(f"duration: a pair 0 < low <= high [s] is wanted, got {duration}")
+    low, high = pair
+    if not passing and given.size and given.max() > high:
+        raise ValueError(
+            f"duration: a via-point is passed at {given.max():g} s, after the largest duration, "
+            f"{high:g} s; free the passing times too"
+        )
+    search = _Search(problem, solver, x0, us, jnp.asarray(price, x0.dtype), given, passing)
+    begin = np.concatenate([[np.clip(start, low, high)], given[: given.size * passing]])
+    try:
+        found = scipy.optimize.minimize(
+            search,
+            begin / start,
+            jac=True,
+            method="SLSQP",
+            bounds=[(low / start, high / start)] + [(0.0, high / start)] * (begin.size - 1),
+            constraints=search.constraints(),
+            options={"ftol": 1e-9, "maxiter": 100},
+        )
+        search(found.x)
+    except _Failed as error:
+        return search.result(error.times, False, str(error))
+    return search.result(found.x, bool(found.success), found.message)
+
+
+class _Failed(Exception):
+    """Report the times at which a solve did not converge."""
+
+    def __init__(self, times: np.ndarray, message: str):
+        super().__init__(message)
+        self.times = times
+
+
+class _Search:
+    """The value of the times, in units of the first duration, and its gradient, for SciPy."""
+
+    def __init__(self, problem, solver, x0, us, price, given, passing):
+        self.problem, self.solver, self.x0, self.us, self.price = problem, solver, x0, us, price
+        self.given, self.passing = given, passing
+        self.unit = float(problem.duration)
+        self.scale: float | None = None
+        self.history: list[float] = []
+        self.last: Any = None
+
+    def seconds(self, variables) -> tuple[float, np.ndarray]:
+        """Return the duration and the passing times [s]."""
+        times = self.unit * np.asarray(variables[1:]) if self.passing else self.given
+        return self.unit * float(variables[0]), times
+
+    def constraints(self):
+        """Keep the events in order, between start and end; none where there is no event."""
+        m = self.given.size
+        if not m:
+            return ()
+        fixed = np.zeros(m) if self.passing else self.given / self.unit
+
+        def gaps(variables):
+            inner = np.asarray(variables[1:]) if self.passing else fixed
+            ends = np.concatenate([[0.0], inner, [variables[0]]])
+            apart = np.diff(ends) - GAP * variables[0]
+            return apart if self.passing else apart[-1:] + GAP * variables[0]
+
+        return {"type": "ineq", "fun": gaps}
+
+    def __call__(self, variables) -> tuple[float, np.ndarray]:
+        duration, times = self.seconds(variables)
+        leaves = (jnp.asarray(duration, self.x0.dtype), jnp.asarray(times, self.x0.dtype))
+        (value, solution), slopes = _value(
+            leaves, self.problem, self.solver, self.x0, self.us, self.price
+        )
+        self.last = (value, solution)
+        self.history.append(float(value))
+        if not bool(solution.status.ok):
+            raise _Failed(np.asarray(variables), solution.status.message)
+        if float(value) <= min(self.history):
+            self.us = solution.us
+        if self.scale is None:
+            self.scale = max(abs(float(value)), 1e-300)
+        slope = np.concatenate([[slopes[0]], slopes[1] if self.passing else []], dtype=float)
+        return float(value) / self.scale, slope * self.unit / self.scale
+
+    def result(self, variables, ok: bool, message: str) -> OptimalTimes:
+        """Return what was found at the last evaluation."""
+        duration, times = self.seconds(variables)
+        value, solution = self.last
+        problem = with_times(self.problem, jnp.asarray(duration), jnp.asarray(times))
+        history = tuple(self.history)
+        return OptimalTimes(
+            problem, solution, float(value), duration, np.asarray(times), ok, message, history
+        )
+
+
+@eqx.filter_jit
+def _value(leaves, problem, solver, x0, us, price):
+    """Return ((J + price T, solution), derivatives by T and the passing times)."""
+
+    def total(leaves):
+        solution = solve(with_times(problem, *leaves), solver, x0, us)
+        return solution.cost + price * leaves[0], solution
+
+    return eqx.filter_value_and_grad(total, has_aux=True)(leaves)
+
+
+def _via_parts(cost) -> list[ViaPoints]:
+    if isinstance(cost, SumCost):
+        return [found for part in cost.parts for found in _via_parts(part)]
+    return [cost] if isinstance(cost, ViaPoints) else []
+
+
+def _passing(cost) -> np.ndarray:
+    """Return the passing times of all via-points, in the order of the cost's parts."""
+    times = [np.asarray(part.times, float) for part in _via_parts(cost)]
+    return np.concatenate([np.zeros(0), *times])
+
+
+def with_times(problem: Problem, duration: Array, times: Array) -> Problem:
+    """Return the problem with another duration [s], shape (), and passing times (m,).
+
+    A tracked path is stretched with the duration.
+    """
+    left = times
+
+    def change(cost):
+        nonlocal left
+        if isinstance(cost, SumCost):
+            return replace(cost, parts=tuple(change(part) for part in cost.parts))
+        if isinstance(cost, ViaPoints):
+            own, left = left[: cost.times.size], left[cost.times.size :]
+            return replace(cost, times=own)
+        return replace(cost, duration=duration) if isinstance(cost, HandPath) else cost
+
+    return eqx.tree_at(
+        lambda p: (p.dt, p.cost), problem, (duration / problem.num_steps, change(problem.cost))
+    )

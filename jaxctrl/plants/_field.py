@@ -1,0 +1,173 @@
+"""Force fields on the hand, as robots make them, and an arm that moves in one."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from .._linalg import solve_positive
+from .._plant import AbstractArm
+from .._types import Bounds
+from ._parameters import known, parameter
+
+
+class AbstractField(eqx.Module):
+    """A force on the hand, as a function of its position, its velocity and time."""
+
+    @abc.abstractmethod
+    def __call__(
+        self, position: Float[Array, "2"], velocity: Float[Array, "2"], t: ArrayLike
+    ) -> Float[Array, "2"]:
+        """Return the force [N], shape (2,), at a position [m] and velocity [m/s], each (2,)."""
+
+
+class Curl(AbstractField):
+    """Push the hand across its velocity, F = b (v_y, -v_x): clockwise for b > 0.
+
+    The velocity-dependent field of Shadmehr & Mussa-Ivaldi (1994), in its curl form.
+
+    Arguments:
+        gain: b [N s/m]; 13 is usual.
+
+    Raises ValueError for a gain that is not one finite number.
+    """
+
+    gain: Float[Array, ""]
+
+    def __init__(self, gain: ArrayLike = 13.0):
+        self.gain = parameter("gain", gain)
+
+    def __call__(self, position, velocity, t):
+        """Return b (v_y, -v_x) [N], shape (2,)."""
+        return self.gain * jnp.stack([velocity[1], -velocity[0]])
+
+
+class ConstantForce(AbstractField):
+    """Push the hand with a constant force.
+
+    Arguments:
+        force: F [N], shape (2,).
+
+    Raises ValueError for a force of another shape, or not finite.
+    """
+
+    force: Float[Array, "2"]
+
+    def __init__(self, force: ArrayLike):
+        self.force = parameter("force", force, (2,))
+
+    def __call__(self, position, velocity, t):
+        """Return F [N], shape (2,)."""
+        return self.force
+
+
+class Channel(AbstractField):
+    """Hold the hand on a straight line by a stiff, damped wall on either side.
+
+    F = -(k d + c dd/dt) n, with d the distance from the line through `start` and `target` along
+    its normal n: an error clamp (Scheidt, Reinkensmeyer, Conditt, Rymer & Mussa-Ivaldi 2000).
+
+    Arguments:
+        start, target: two points of the line [m], each (2,).
+        stiffness: k [N/m]. damping: c [N s/m]. 2000 and 50 are our choice: stiffer walls need a
+            time step below 10 ms, or RK4.
+
+    Raises ValueError for a wrong shape, a negative number, or points that coincide.
+    """
+
+    start: Float[Array, "2"]
+    target: Float[Array, "2"]
+    stiffness: Float[Array, ""]
+    damping: Float[Array, ""]
+
+    def __init__(
+        self,
+        start: ArrayLike,
+        target: ArrayLike,
+        *,
+        stiffness: ArrayLike = 2000.0,
+        damping: ArrayLike = 50.0,
+    ):
+        self.start = parameter("start", start, (2,))
+        self.target = parameter("target", target, (2,))
+        self.stiffness = parameter("stiffness", stiffness, minimum=0.0)
+        self.damping = parameter("damping", damping, minimum=0.0)
+        ends = known(start), known(target)
+        if ends[0] is not None and ends[1] is not None and (ends[0] == ends[1]).all():
+            raise ValueError("target: the same as start, so that no line goes through both")
+
+    def __call__(self, position, velocity, t):
+        """Return -(k d + c dd/dt) n [N], shape (2,)."""
+        along = self.target - self.start
+        across = jnp.stack([-along[1], along[0]]) / jnp.sqrt(jnp.sum(along**2))
+        d, rate = jnp.sum((position - self.start) * across), jnp.sum(velocity * across)
+        return -(self.stiffness * d + self.damping * rate) * across
+
+
+class InField(AbstractArm):
+    """Move an arm whose hand is pushed by a force field.
+
+    M(q) ddq = tau - C(q, dq) - B dq + J(q)'F(e, de/dt, t),  J = de/dq
+
+    State and control are those of the arm. Fields add up by wrapping an arm twice.
+
+    Arguments:
+        arm: any arm.
+        field: the force F on its hand, such as `Curl()`.
+
+    Raises TypeError for what is no arm or no field, ValueError for a discrete arm.
+    """
+
+    nx: int = eqx.field(static=True)
+    nu: int = eqx.field(static=True)
+    num_joints: int = eqx.field(static=True)
+    discrete: bool = eqx.field(static=True)
+    arm: AbstractArm
+    field: AbstractField
+
+    def __init__(self, arm: AbstractArm, field: AbstractField):
+        if not isinstance(arm, AbstractArm):
+            raise TypeError(f"arm: a plant with joints is wanted, got {type(arm).__name__}")
+        if not isinstance(field, AbstractField):
+            raise TypeError(f"field: a force field such as Curl() is wanted, got {field!r}")
+        if arm.discrete:
+            raise ValueError("arm: a continuous plant is wanted, got a discrete one")
+        self.nx, self.nu, self.num_joints = arm.nx, arm.nu, arm.num_joints
+        self.discrete = False
+        self.arm, self.field = arm, field
+
+    @property
+    def control_bounds(self) -> Bounds | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Bounds of the arm's controls, each (nu,), or None."""
+        return self.arm.control_bounds
+
+    @property
+    def nominal_control(self) -> Float[Array, " nu"]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The arm's nominal control, shape (nu,)."""
+        return self.arm.nominal_control
+
+    def __call__(self, x, u, t):
+        """Return the arm's derivative with M^-1 J'F added to the accelerations, shape (nx,)."""
+        n = self.num_joints
+        q, dq = x[:n], x[n : 2 * n]
+        hand, pull = jax.vjp(self.hand_of_joints, q)
+        velocity = jax.jvp(self.hand_of_joints, (q,), (dq,))[1]
+        (torque,) = pull(self.field(hand, velocity, t))
+        push, _ = solve_positive(self.mass_matrix(q), torque[:, None])
+        rest = jnp.zeros_like(x[2 * n :])
+        pushed = jnp.concatenate([jnp.zeros_like(dq), push[:, 0], rest])
+        return self.arm(x, u, t) + pushed
+
+    def hand_of_joints(self, q: Float[Array, " n"]) -> Float[Array, "2"]:
+        """Return the hand's position [m], shape (2,), for joint angles q (n,) [rad]."""
+        return self.arm.hand_of_joints(q)
+
+    def mass_matrix(self, q: Float[Array, " n"]) -> Float[Array, "n n"]:
+        """Return M(q) [kg m^2], shape (n, n), for joint angles q (n,) [rad]."""
+        return self.arm.mass_matrix(q)
+
+    def joint_torque(self, x: Float[Array, " nx"], u: Float[Array, " nu"]) -> Float[Array, " n"]:
+        """Return the arm's own torques [N m], shape (n,), without the field's."""
+        return self.arm.joint_torque(x, u)

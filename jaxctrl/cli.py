@@ -112,8 +112,9 @@ def run(names: tuple[str, ...], quick: bool, out: Path, pairs: tuple[str, ...], 
     same settings are skipped, so that an interrupted run is resumed by repeating it.
     """
     for name in names:
-        _check_word("experiment", name, [*experiments.names(), "all"])
-    chosen = experiments.names() if "all" in names else list(dict.fromkeys(names))
+        _check_word("experiment", name, [*experiments.names(), *experiments.ALIASES, "all"])
+    chosen = list(dict.fromkeys(map(experiments.resolve, names)))
+    chosen = experiments.names() if "all" in names else chosen
     with _terminable():
         import jax
         import matplotlib
@@ -144,7 +145,8 @@ def run(names: tuple[str, ...], quick: bool, out: Path, pairs: tuple[str, ...], 
 @_out
 def show(name: str, out: Path) -> None:
     """Show settings, claims and variables of a finished experiment, and verify its files."""
-    _check_word("experiment", name, experiments.names())
+    _check_word("experiment", name, [*experiments.names(), *experiments.ALIASES])
+    name = experiments.resolve(name)
     from .experiments import _store
 
     try:

@@ -11,6 +11,22 @@ from collections.abc import Iterable
 from types import ModuleType
 
 EXPERIMENTS: dict[str, tuple[str, str]] = {
+    "fig-3.4": (
+        "jaxctrl.experiments.fig_3_4",
+        "Free movements under minimum torque change (3.4) and minimum energy (3.5)",
+    ),
+    "fig-3.6": (
+        "jaxctrl.experiments.fig_3_6",
+        "Through mirror-image via-points: minimum torque change (3.6) and energy (3.7)",
+    ),
+    "fig-3.8": (
+        "jaxctrl.experiments.fig_3_8",
+        "Via-points near and far: minimum torque change (3.8) and energy (3.9)",
+    ),
+    "fig-3.10": (
+        "jaxctrl.experiments.fig_3_10",
+        "One via-point at several times: minimum torque change (3.10) and energy (3.11)",
+    ),
     "fig-4.1": (
         "jaxctrl.experiments.fig_4_1",
         "Optimal trajectories of the torque arm, the muscle arm and the pendulum",
@@ -23,8 +39,20 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.centre_out",
         "10 cm reaches in 8 directions with both arms",
     ),
+    "two-thirds": (
+        "jaxctrl.experiments.two_thirds",
+        "The two-thirds power law on closed paths traced optimally, with their timing free",
+    ),
 }
 """Name of each experiment, its module and one line about it."""
+
+ALIASES = {"fig-3.5": "fig-3.4", "fig-3.7": "fig-3.6", "fig-3.9": "fig-3.8", "fig-3.11": "fig-3.10"}
+"""Figures that another experiment draws too: the same movements under another model."""
+
+
+def resolve(name: str) -> str:
+    """Return the experiment that draws a figure; any other name as it is."""
+    return ALIASES.get(name, name)
 
 
 def names() -> list[str]:

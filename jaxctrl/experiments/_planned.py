@@ -1,0 +1,270 @@
+"""Movements of an arm planned under several models, each from several starts.
+
+Optima are local, and the hand does not tell an elbow that bends the wrong way: each movement is
+solved from the nominal controls, from those that follow the path of least jerk, from random
+constant excitations, and from what another model found. Kept is the cheapest solution whose elbow
+stays within the range of the model's muscles, 0 to pi.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray
+from matplotlib.figure import Figure
+
+from .. import analysis, plot
+from .._problem import Problem
+from ..models import AbstractModel, MinimumEnergy, MinimumTorqueChange, Path, minimum_jerk
+from ..plants import MuscleArm, TorqueArm
+from ..solvers import DDP, ILQR
+from ..solvers._solution import Solution
+from ..solvers._solve import solve
+from ..tasks import reach, track, via
+from ._result import Claim
+
+AMPLITUDE = 0.3
+"""Random starts are constant excitations from U[0, AMPLITUDE]; our choice."""
+
+MODELS = {"torque change": MinimumTorqueChange(), "energy": MinimumEnergy()}
+
+
+class Movement(NamedTuple):
+    """What to plan: start, target [m], each (2,), and a via-point [m] (2,) with its time [s]."""
+
+    start: np.ndarray
+    target: np.ndarray
+    point: np.ndarray | None = None
+    time: float | None = None
+
+    @property
+    def via(self) -> dict[str, np.ndarray]:
+        """The via-points (m, 2) and their times (m,), as tasks and `minimum_jerk` take them."""
+        if self.point is None or self.time is None:
+            return {}
+        return {"points": self.point[None], "times": np.array([self.time])}
+
+
+class Planned(NamedTuple):
+    """A movement as one model has it.
+
+    Fields: hand [m] and velocity [m/s], each (T+1, 2); us (T, nu); cost; iterations; how many
+    starts converged with a sound elbow, and how many there were; their highest over lowest cost.
+    """
+
+    hand: np.ndarray
+    velocity: np.ndarray
+    us: np.ndarray
+    cost: float
+    iterations: int
+    sound: int
+    starts: int
+    spread: float
+
+
+def task_of(arm: MuscleArm | TorqueArm, movement: Movement, config: Any) -> Problem:
+    """Return the reach, or the movement through a via-point."""
+    steps = {"duration": config.duration, "num_steps": config.num_steps}
+    if not movement.via:
+        return reach(arm, movement.target, **steps)
+    return via(arm, movement.target, **movement.via, **steps)
+
+
+def plan(
+    arm: MuscleArm | TorqueArm, movements: Sequence[Movement], config: Any
+) -> dict[str, list[Planned]]:
+    """Plan movements from rest under minimum torque change and minimum energy.
+
+    The settings used are duration, num_steps, restarts, max_steps and seed.
+    """
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        starts = list(pool.map(lambda m: _first_guesses(arm, m, config), movements))
+        found: dict[str, list[Planned]] = {}
+        for name, model in MODELS.items():
+            found[name] = list(
+                pool.map(
+                    lambda m, guesses, model=model: _plan_one(arm, model, m, guesses, config),
+                    movements,
+                    starts,
+                )
+            )
+            if isinstance(arm, MuscleArm):
+                starts = [[*s, p.us] for s, p in zip(starts, found[name], strict=True)]
+    return found
+
+
+def _first_guesses(arm, movement: Movement, config: Any) -> list[np.ndarray | None]:
+    """Return the controls from which to solve; None for the nominal ones.
+
+    Without bounds a movement has one optimum, and its torques may not be controls.
+    """
+    if isinstance(arm, TorqueArm):
+        return [None]
+    ts = np.linspace(0, config.duration, config.num_steps + 1)
+    path = least_jerk(movement, ts).position
+    follow = track(
+        arm, path, config.duration, num_steps=config.num_steps, path_weight=100.0, effort=1e-5
+    )
+    followed = solve(follow, ILQR(), _at_rest(arm, movement), max_steps=60)
+    rng = np.random.default_rng(config.seed)
+    levels = AMPLITUDE * rng.random((config.restarts, arm.nu))
+    constant = [np.tile(level, (config.num_steps, 1)) for level in levels]
+    return [None, np.asarray(followed.us), *constant]
+
+
+def _at_rest(arm: MuscleArm | TorqueArm, movement: Movement) -> jax.Array:
+    q = arm.inverse_kinematics(jnp.asarray(movement.start))
+    return arm.at_rest(q[0], q[1])
+
+
+def _plan_one(arm, model: AbstractModel, movement: Movement, guesses, config: Any) -> Planned:
+    """Solve from every guess, and keep the cheapest sound solution, or the cheapest at all."""
+    task = task_of(arm, movement, config)
+    problem, x0 = model.problem(task), model.start(task, _at_rest(arm, movement))
+    tried = [solve(problem, DDP(), x0, us, max_steps=config.max_steps) for us in guesses]
+    sound = [solution for solution in tried if bool(solution.status.ok) and _sound(solution)]
+    costs = [float(solution.cost) for solution in sound or tried]
+    kept = (sound or tried)[int(np.argmin(costs))]
+    hand, velocity = _motion(problem, kept.xs)
+    return Planned(
+        np.asarray(hand),
+        np.asarray(velocity),
+        np.asarray(kept.us),
+        min(costs),
+        int(kept.num_steps),
+        len(sound),
+        len(tried),
+        max(costs) / min(costs),
+    )
+
+
+def _sound(solution: Solution) -> bool:
+    """Tell whether the elbow stays within 0 and pi."""
+    elbow = np.asarray(solution.xs[:, 1])
+    return bool((elbow > 0).all() and (elbow < np.pi).all())
+
+
+@eqx.filter_jit
+def _motion(problem: Problem, xs):
+    """Return the hand's positions and velocities, each (T+1, 2)."""
+    plant = problem.plant
+    return jax.vmap(plant.hand)(xs), jax.vmap(plant.hand_velocity)(xs)  # pyright: ignore
+
+
+def dataset(
+    planned: dict[str, list[Planned]],
+    labels: Sequence[str],
+    movements: Sequence[Movement],
+    config: Any,
+) -> xarray.Dataset:
+    """Label what was planned: hand, velocity, speed, cost, iterations, by model and movement."""
+    ts = np.linspace(0, config.duration, config.num_steps + 1)
+    over, along = ("model", "movement"), ("model", "movement", "time")
+
+    def gather(field: str) -> np.ndarray:
+        return np.array([[getattr(one, field) for one in found] for found in planned.values()])
+
+    hand, velocity = gather("hand"), gather("velocity")
+    data = {
+        "hand": ((*along, "axis"), hand, named("hand position", "m")),
+        "speed": (along, np.linalg.norm(velocity, axis=-1), named("hand speed", "m/s")),
+        "velocity": ((*along, "axis"), velocity, named("hand velocity", "m/s")),
+        "cost": (over, gather("cost"), named("cost", "1")),
+        "iterations": (over, gather("iterations"), named("iterations from the best start", "1")),
+        "sound": (over, gather("sound"), named("starts that gave a sound optimum", "1")),
+        "spread": (over, gather("spread"), named("highest over lowest cost of these", "1")),
+        "target": (
+            ("movement", "axis"),
+            np.array([m.target for m in movements]),
+            named("target", "m"),
+        ),
+    }
+    if movements[0].point is not None:
+        points = np.array([m.point for m in movements])
+        times = np.array([m.time for m in movements])
+        data["point"] = (("movement", "axis"), points, named("via-point", "m"))
+        data["passing"] = (("movement",), times, named("passing time", "s"))
+        miss = [
+            [np.linalg.norm([np.interp(t, ts, c) for c in one.hand.T] - p) for one, t, p in trio]
+            for trio in (zip(found, times, points, strict=True) for found in planned.values())
+        ]
+        data["miss"] = (over, np.array(miss), named("distance from the via-point", "m"))
+    coords = {
+        "model": ("model", list(planned), {"long_name": "model"}),
+        "movement": ("movement", list(labels), {"long_name": "movement"}),
+        "time": ("time", ts, named("time", "s")),
+        "axis": ("axis", ["x", "y"], {"long_name": "axis"}),
+    }
+    return xarray.Dataset(data, coords=coords)
+
+
+def named(name: str, units: str) -> dict[str, str]:
+    """Return the attributes of a variable."""
+    return {"long_name": name, "units": units}
+
+
+def failures(planned: dict[str, list[Planned]], labels: Sequence[str]) -> str:
+    """Say which movements were not solved, or nothing."""
+    return "; ".join(
+        f"{name}, {label}: none of {one.starts} starts converged with a sound elbow"
+        for name, found in planned.items()
+        for label, one in zip(labels, found, strict=True)
+        if not one.sound
+    )
+
+
+def least_jerk(movement: Movement, ts: np.ndarray) -> Path:
+    """Return the path of least jerk at times ts (n,) [s], from 0 to the duration."""
+    return minimum_jerk(movement.start, movement.target, ts[-1], ts, **movement.via)
+
+
+def passed(data: xarray.Dataset, model: str, source: str) -> Claim:
+    """Judge whether the via-points are passed."""
+    miss = 1e3 * data.miss.sel(model=model).values
+    listed = ", ".join(
+        f"{label} {value:.1f}" for label, value in zip(data.movement.values, miss, strict=True)
+    )
+    return Claim(
+        f"The via-points are passed ({model})",
+        source,
+        "within 5 mm",
+        f"missed by {listed} mm",
+        bool((miss < 5).all()),
+        ""
+        if (miss < 5).all()
+        else "from rest and without activation the muscles cannot move the hand that far that soon",
+    )
+
+
+def profiles(data: xarray.Dataset, model: str) -> list[analysis.SpeedProfile]:
+    """Return the peaks and valleys of each movement's speed."""
+    ts = data.time.values
+    return [analysis.speed_peaks(ts, speed) for speed in data.speed.sel(model=model).values]
+
+
+def draw(data: xarray.Dataset, numbers: dict[str, str]) -> Figure:
+    """Draw paths and speeds through via-points, one row for each model, titled by its figure."""
+    fig, axes = plot.panels(len(numbers), 2, size=(7.5, 5.6))
+    labels = [str(label) for label in data.movement.values]
+    for row, (model, number) in zip(axes, numbers.items(), strict=True):
+        part = data.sel(model=model)
+        plot.hand_paths(
+            list(part.hand.values),
+            data.target.values,
+            via=data.point.values,
+            labels=labels,
+            ax=row[0],
+        )
+        plot.speed_profiles(data.time, list(part.speed.values), labels=labels, ax=row[1])
+        row[1].get_legend().remove()
+        for time in np.unique(data.passing.values):
+            row[1].axvline(time, color="0.6", linewidth=0.7, zorder=0)
+        with plot.style():
+            row[0].set_title(f"{number}  minimum {model}", loc="left")
+            row[1].set_title("grey: when the via-point is passed", loc="left", color="0.4")
+    return fig

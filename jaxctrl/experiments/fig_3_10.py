@@ -1,0 +1,159 @@
+"""Figures 3.10 and 3.11 of Li (2006): one via-point, passed at different times.
+
+The muscle-driven arm moves 40 cm to the right in 500 ms and passes a point far from the straight
+line at 150, 250 or 320 ms, which are drawn; further times in between tell how the depth of the
+speed's valley goes with the height of the curvature's peak. The thesis prints no coordinates; they
+are our choice.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray
+from matplotlib.figure import Figure
+
+from .. import analysis
+from ..plants import MuscleArm
+from ._planned import Movement, dataset, draw, failures, passed, plan, profiles
+from ._result import Claim, Result
+
+START, TARGET, POINT = np.array([[-0.2, 0.42], [0.2, 0.42], [0.0, 0.58]])
+DRAWN = (0.15, 0.25, 0.32)
+FURTHER = (0.2, 0.22, 0.235, 0.265, 0.28, 0.3)
+FIGURES = {"torque change": "3.10", "energy": "3.11"}
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings: duration [s], steps, random starts, iterations, seed."""
+
+    duration: float = 0.5
+    num_steps: int = 50
+    restarts: int = 2
+    max_steps: int = 600
+    seed: int = 0
+
+    @classmethod
+    def quick(cls) -> "Config":
+        """Return settings with one random start instead of two."""
+        return cls(restarts=1)
+
+
+def run(config: Config) -> Result:
+    """Plan a movement for each passing time under both models."""
+    times = DRAWN + FURTHER
+    movements = [Movement(START, TARGET, POINT, time) for time in times]
+    labels = [f"{1e3 * time:.0f} ms" for time in times]
+    planned = plan(MuscleArm(), movements, config)
+    data = dataset(planned, labels, movements, config)
+    return Result(data, config, failures(planned, labels))
+
+
+def figure(result: Result) -> Figure:
+    """Draw paths and speed profiles of the thesis's three times, one row for each model."""
+    return draw(result.data.isel(movement=slice(len(DRAWN))), FIGURES)
+
+
+def claims(result: Result) -> list[Claim]:
+    """Compare with what the thesis says of these figures."""
+    found = []
+    for model, number in FIGURES.items():
+        data, source = result.data.sel(model=model), f"Li (2006), fig. {number}"
+        speeds = profiles(result.data, model)
+        found += [
+            passed(result.data, model, source),
+            _first_peak(model, source, speeds[: len(DRAWN)]),
+            _order(model, source, speeds[: len(DRAWN)]),
+            *_curvature(model, source, data, speeds),
+            _first_part(model, source, data),
+        ]
+    return found
+
+
+def _deepest(profile: analysis.SpeedProfile) -> int | None:
+    """Return the index of the deepest valley, or None without one."""
+    return int(np.argmax(profile.valley_depth)) if len(profile.valley_depth) else None
+
+
+def _first_peak(model: str, source: str, speeds: list[analysis.SpeedProfile]) -> Claim:
+    first = [float(profile.peak_speeds[0]) for profile in speeds]
+    return Claim(
+        f"The earliest passing has the highest first peak ({model})",
+        source,
+        "150 ms higher than 250 and 320 ms",
+        "first peaks " + ", ".join(f"{speed:.2f}" for speed in first) + " m/s",
+        first[0] == max(first),
+        "" if first[0] == max(first) else "the first peak is not always the one before the point",
+    )
+
+
+def _order(model: str, source: str, speeds: list[analysis.SpeedProfile]) -> Claim:
+    valleys = [_deepest(profile) for profile in speeds]
+    times = [
+        np.nan if i is None else float(profile.valley_times[i])
+        for i, profile in zip(valleys, speeds, strict=True)
+    ]
+    return Claim(
+        f"The later the passing, the later the speed's valley ({model})",
+        source,
+        "ordered as 150, 250 and 320 ms",
+        "valleys at " + ", ".join(f"{1e3 * time:.0f}" for time in times) + " ms",
+        bool(np.all(np.diff(times) > 0)),
+        "the valley of 150 ms comes late: the hand passes far from the via-point, see above",
+    )
+
+
+def _curvature(
+    model: str, source: str, data: xarray.Dataset, speeds: list[analysis.SpeedProfile]
+) -> list[Claim]:
+    """Judge whether valleys of the speed and peaks of the curvature go together."""
+    gaps, heights, depths, ts = [], [], [], data.time.values
+    curvatures = analysis.curvature(data.hand, ts, velocities=data.velocity)
+    for profile, speed, curvature in zip(speeds, data.speed.values, curvatures, strict=True):
+        valley = _deepest(profile)
+        bends = analysis.curvature_peaks(ts, curvature, speed)
+        if valley is None or not len(bends.times):
+            continue
+        nearest = int(np.argmin(np.abs(bends.times - profile.valley_times[valley])))
+        gaps.append(abs(float(bends.times[nearest] - profile.valley_times[valley])))
+        heights.append(float(bends.heights[nearest]))
+        depths.append(float(profile.valley_depth[valley]))
+    correlation = float(np.corrcoef(heights, depths)[0, 1]) if len(gaps) > 2 else np.nan
+    return [
+        Claim(
+            f"The speed's valley coincides with a peak of the curvature ({model})",
+            source,
+            "within 40 ms where the speed has two peaks",
+            f"at most {1e3 * max(gaps, default=np.nan):.0f} ms apart; {len(gaps)} of {len(speeds)} "
+            "movements have a valley",
+            bool(gaps) and max(gaps) <= 0.04,
+            "" if gaps else "no movement has two peaks",
+        ),
+        Claim(
+            f"The higher the curvature's peak, the deeper the valley ({model})",
+            source,
+            "positive correlation",
+            f"r = {correlation:.2f} over the {len(gaps)} passing times with a valley",
+            correlation > 0.5,
+            "" if correlation > 0.5 else "too few valleys, or no such relation",
+        ),
+    ]
+
+
+def _first_part(model: str, source: str, data: xarray.Dataset) -> Claim:
+    """Judge whether a quick first part is the straighter one."""
+    bends = []
+    for i, passing in enumerate(DRAWN):
+        path = data.hand.values[i][data.time.values <= passing + 1e-9]
+        chord = np.linalg.norm(path[-1] - path[0])
+        bends.append(abs(float(analysis.deviation(path))) / chord)
+    return Claim(
+        f"The earliest passing has the straightest first part ({model})",
+        source,
+        "150 ms less curved up to the via-point than 250 and 320 ms",
+        "deviation over distance " + ", ".join(f"{100 * bend:.1f} %" for bend in bends),
+        bends[0] == min(bends),
+        ""
+        if bends[0] == min(bends)
+        else "the first part's bend is that of the model's own optimum",
+    )

@@ -151,8 +151,9 @@ def compare(
     Raises TypeError or ValueError, naming the argument, for what does not fit, such as a posture
     for a model of the hand alone.
     """
-    models = (models,) if isinstance(models, AbstractModel | type) else tuple(models)
-    for model in models:
+    single = isinstance(models, AbstractModel | type)
+    given: tuple[AbstractModel, ...] = (models,) if single else tuple(models)  # pyright: ignore
+    for model in given:
         if not isinstance(model, AbstractModel):
             hint = "; write MinimumJerk() with parentheses" if isinstance(model, type) else ""
             raise TypeError(f"models: a model is wanted, got {model!r}{hint}")

@@ -244,7 +244,8 @@ class WeightedSum(AbstractModel):
     smooth: ClassVar[bool] = True
 
     def __init__(self, models: Sequence[AbstractModel], weights: ArrayLike):
-        self.models = (models,) if isinstance(models, AbstractModel | type) else tuple(models)
+        single = isinstance(models, AbstractModel | type)
+        self.models = (models,) if single else tuple(models)  # pyright: ignore
         for model in self.models:
             if not isinstance(model, AbstractModel) or isinstance(model, WeightedSum):
                 raise TypeError(f"models: models such as MinimumJerk() are wanted, got {model!r}")

@@ -107,6 +107,21 @@ def test_the_registry_has_a_name_a_module_and_a_line_for_each():
         assert line and "\n" not in line
 
 
+def test_a_figure_that_another_experiment_draws_is_run_and_shown_as_that(
+    call, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(experiments, "ALIASES", {"twin": "good"})
+    code, stdout, _ = call("run", "twin", "good", "--out", tmp_path)
+    assert code == 0 and made_by_jaxctrl(tmp_path) == ["good"], stdout
+    code, stdout, _ = call("show", "twin", "--out", tmp_path)
+    assert code == 0 and "good: What good does" in stdout
+
+
+def test_every_alias_leads_to_an_experiment():
+    assert set(experiments.ALIASES.values()) <= set(experiments.EXPERIMENTS)
+    assert not set(experiments.ALIASES) & set(experiments.EXPERIMENTS)
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 def test_programs_of_the_readme_run(tmp_path, monkeypatch, capsys):
     text = (ROOT / "README.md").read_text()
     programs = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    assert len(programs) == 3
+    assert len(programs) == 4
     monkeypatch.chdir(tmp_path)
     names = {}
     for program in programs:
@@ -20,4 +20,6 @@ def test_programs_of_the_readme_run(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "reach.pdf").stat().st_size > 1000
     assert bool(names["solution"].status.ok) and bool(names["best"].status.ok)
     assert names["best"].us.shape == (100, 1)
+    assert names["comparison"].ok and (tmp_path / "theories.pdf").stat().st_size > 1000
+    assert names["timing"].ok
     assert "3 problems, 3 converged" in capsys.readouterr().out

@@ -1,9 +1,10 @@
 """Movements of an arm planned under several models, each from several starts.
 
-Optima are local, and the hand does not tell an elbow that bends the wrong way: each movement is
-solved from the nominal controls, from those that follow the path of least jerk, from random
-constant excitations, and from what another model found. Kept is the cheapest solution whose elbow
-stays within the range of the model's muscles, 0 to pi.
+Optima are local: each movement is solved from the nominal controls, from those that follow the
+path of least jerk, from random constant excitations, and from what another model found. The hand
+does not tell an elbow that bends the wrong way: through via-points, where it would, the elbow is
+limited to the range of the model's muscles, 0 to pi, softly, and kept is the cheapest solution
+that stays within a hundredth of a radian of it.
 """
 
 import os
@@ -25,7 +26,7 @@ from ..plants import MuscleArm, TorqueArm
 from ..solvers import DDP, ILQR
 from ..solvers._solution import Solution
 from ..solvers._solve import solve
-from ..tasks import reach, track, via
+from ..tasks import limit_joints, reach, track, via
 from ._result import Claim
 
 AMPLITUDE = 0.3
@@ -72,7 +73,8 @@ def task_of(arm: MuscleArm | TorqueArm, movement: Movement, config: Any) -> Prob
     steps = {"duration": config.duration, "num_steps": config.num_steps}
     if not movement.via:
         return reach(arm, movement.target, **steps)
-    return via(arm, movement.target, **movement.via, **steps)
+    task = via(arm, movement.target, **movement.via, **steps)
+    return limit_joints(task, [-np.inf, 0.0], [np.inf, np.pi])
 
 
 def plan(
@@ -144,9 +146,9 @@ def _plan_one(arm, model: AbstractModel, movement: Movement, guesses, config: An
 
 
 def _sound(solution: Solution) -> bool:
-    """Tell whether the elbow stays within 0 and pi."""
+    """Tell whether the elbow stays within 0 and pi, to 0.01 rad."""
     elbow = np.asarray(solution.xs[:, 1])
-    return bool((elbow > 0).all() and (elbow < np.pi).all())
+    return bool((elbow > -0.01).all() and (elbow < np.pi + 0.01).all())
 
 
 @eqx.filter_jit

@@ -56,6 +56,12 @@ def minimum_jerk(
     duration = check_array("duration", duration, ())
     ts = check_array("ts", ts, (np.size(ts),))
     points, times = _check_via(points, times, duration)
+    return Path(*_evaluate(start, target, duration, ts, points, times))
+
+
+@jax.jit
+def _evaluate(start, target, duration, ts, points, times):
+    """Return position, velocity, acceleration and jerk, each (n, 2)."""
     coefficients = _coefficients(start, target, points, times / duration)
     piece = jnp.searchsorted(times, ts, side="right") if times.size else jnp.zeros(ts.shape, int)
     s = ts / duration
@@ -64,7 +70,7 @@ def minimum_jerk(
         row = jax.vmap(lambda s: _row(s, order))(s) / duration**order
         return jnp.einsum("np,npc->nc", row, coefficients[piece])
 
-    return Path(*(evaluate(order) for order in range(4)))
+    return [evaluate(order) for order in range(4)]
 
 
 def _check_via(points, times, duration):
@@ -136,6 +142,11 @@ def jerk_cost(
     start, target = check_array("start", start, (2,)), check_array("target", target, (2,))
     duration = check_array("duration", duration, ())
     points, times = _check_via(points, times, duration)
+    return _jerk_cost(start, target, duration, points, times)
+
+
+@jax.jit
+def _jerk_cost(start, target, duration, points, times):
     passing = times / duration
     coefficients = _coefficients(start, target, points, passing)
     ends = jnp.concatenate([jnp.zeros((1,)), passing, jnp.ones((1,))]).astype(passing.dtype)

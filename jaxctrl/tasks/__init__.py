@@ -7,6 +7,7 @@ from ._costs import (
     Effort as Effort,
     HandPath as HandPath,
     HandTarget as HandTarget,
+    JointLimits as JointLimits,
     Obstacle as Obstacle,
     PostureTarget as PostureTarget,
     ViaPoints as ViaPoints,
@@ -14,6 +15,7 @@ from ._costs import (
 from ._movements import (
     centre_out as centre_out,
     hit as hit,
+    limit_joints as limit_joints,
     obstacle as obstacle,
     posture as posture,
     reach as reach,

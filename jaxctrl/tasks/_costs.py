@@ -108,6 +108,35 @@ class PostureTarget(AbstractCost):
         return ()
 
 
+class JointLimits(AbstractCost):
+    """Rate w sum_j max(0, lower_j - q_j, q_j - upper_j)^2 of joints beyond their limits.
+
+    Arguments:
+        lower, upper: limits [rad], (num_joints,). weight: w [1/(rad^2 s)].
+    """
+
+    lower: Float[Array, " num_joints"] = eqx.field(converter=array_leaf)
+    upper: Float[Array, " num_joints"] = eqx.field(converter=array_leaf)
+    weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1.0)
+    running_is_quadratic: bool = eqx.field(static=True, default=False, init=False)
+    terminal_is_quadratic: bool = eqx.field(static=True, default=True, init=False)
+
+    def running(self, plant: Any, x, u, t):
+        """Return the rate, shape ()."""
+        q = x[: plant.num_joints]
+        beyond = jnp.maximum(self.lower - q, 0.0) + jnp.maximum(q - self.upper, 0.0)
+        return self.weight * jnp.sum(beyond**2)
+
+    def terminal(self, plant: Any, x):
+        """Return zero, shape ()."""
+        return jnp.zeros((), x.dtype)
+
+    @property
+    def events(self):
+        """None."""
+        return ()
+
+
 class Obstacle(AbstractCost):
     """Rate k1 (|e - e_ob| - r_ob)^-2 outside a disc that the hand must not enter, inf inside.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,8 +12,16 @@ from .._cost import AbstractCost, QuadraticCost
 from .._noise import SignalDependentNoise
 from .._plant import AbstractArm, AbstractHand, AbstractPlant
 from .._problem import Problem, check_array, is_concrete
-from .._types import array_leaf
-from ._costs import Effort, HandPath, HandTarget, Obstacle, PostureTarget, ViaPoints
+from .._types import array_leaf, as_bounds
+from ._costs import (
+    Effort,
+    HandPath,
+    HandTarget,
+    JointLimits,
+    Obstacle,
+    PostureTarget,
+    ViaPoints,
+)
 
 STEP = 0.01
 """The time step [s] aimed at when `num_steps` is not given."""
@@ -301,6 +310,43 @@ def _with_cost(problem: Problem, cost: AbstractCost) -> Problem:
         dt=problem.dt,
         noise=problem.noise,
     )
+
+
+def limit_joints(
+    problem: Problem,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    *,
+    weight: ArrayLike = 1.0,
+) -> Problem:
+    """Add to a task that the joints stay within limits, softly.
+
+    J + int w sum_j max(0, lower_j - q_j, q_j - upper_j)^2 dt
+
+    The hand alone does not tell an elbow that bends the wrong way: on fast movements with a long
+    way to go, turning it through the straight arm may be the cheapest, though no elbow does.
+
+    Arguments:
+        problem: a task of an arm.
+        lower, upper: limits [rad], scalars or (num_joints,), -inf and inf for none; a human elbow:
+            0 to 2.6.
+        weight: w [1/(rad^2 s)]; 1 is our choice.
+
+    Returns: `Problem`. Raises TypeError for a plant without joints, ValueError for a wrong shape or
+    lower > upper.
+    """
+    _check_weights(weight=weight)
+    if not isinstance(problem.plant, AbstractArm):
+        raise TypeError(
+            f"problem: one of a plant with joints is wanted, got {type(problem.plant).__name__}"
+        )
+    limits = as_bounds((lower, upper), (problem.plant.num_joints,), "lower, upper")
+    assert limits is not None
+    if is_concrete(*limits) and not bool((limits[0] <= limits[1]).all()):
+        raise ValueError(f"lower: at most upper is wanted, got {limits[0]} and {limits[1]}")
+    # A limit that is never reached stands for none: `solve` refuses what is not finite.
+    lower, upper = (jnp.clip(limit, -1e6, 1e6) for limit in limits)
+    return eqx.tree_at(lambda p: p.cost, problem, problem.cost + JointLimits(lower, upper, weight))
 
 
 def centre_out(

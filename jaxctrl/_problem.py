@@ -91,7 +91,7 @@ class Problem(eqx.Module):
     def __check_init__(self):
         if self.dt.shape != ():
             raise ValueError(f"dt: one number is wanted, got shape {self.dt.shape}")
-        if is_concrete(self.dt) and not self.dt > 0:
+        if is_concrete(self.dt) and not np.asarray(self.dt) > 0:  # jnp would trace it, under jit
             raise ValueError(f"dt: a positive time step is wanted, got {self.dt}")
         bounds = self.bounds
         if bounds is not None and is_concrete(*bounds):
@@ -102,13 +102,13 @@ class Problem(eqx.Module):
                     f"control_bounds: lower <= upper is wanted, got {lower[step, i]} > "
                     f"{upper[step, i]} for control {i}"
                 )
-        duration = self.num_steps * self.dt
         for times, _ in self.cost.events:
             if is_concrete(times, self.dt):
-                outside = np.asarray((times < 0) | (times > duration * (1 + 1e-6)))
+                times, duration = np.asarray(times), self.num_steps * np.asarray(self.dt)
+                outside = (times < 0) | (times > duration * (1 + 1e-6))
                 if outside.any():
                     raise ValueError(
-                        f"cost: an event at {np.asarray(times)[outside][0]} s lies outside the "
+                        f"cost: an event at {times[outside][0]} s lies outside the "
                         f"movement, which lasts from 0 to {float(duration):.6g} s"
                     )
 

@@ -7,6 +7,7 @@ limited to the range of the model's muscles, 0 to pi, softly, and kept is the ch
 that stays within a hundredth of a radian of it.
 """
 
+import functools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -32,7 +33,7 @@ from ._result import Claim
 AMPLITUDE = 0.3
 """Random starts are constant excitations from U[0, AMPLITUDE]; our choice."""
 
-MODELS = {"torque change": MinimumTorqueChange(), "energy": MinimumEnergy()}
+MODELS = {"torque change": MinimumTorqueChange, "energy": MinimumEnergy}
 
 
 class Movement(NamedTuple):
@@ -74,7 +75,7 @@ def task_of(arm: MuscleArm | TorqueArm, movement: Movement, config: Any) -> Prob
     if not movement.via:
         return reach(arm, movement.target, **steps)
     task = via(arm, movement.target, **movement.via, **steps)
-    return limit_joints(task, [-np.inf, 0.0], [np.inf, np.pi])
+    return limit_joints(task, np.array([-np.inf, 0.0]), np.array([np.inf, np.pi]))
 
 
 def plan(
@@ -87,14 +88,9 @@ def plan(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         starts = list(pool.map(lambda m: _first_guesses(arm, m, config), movements))
         found: dict[str, list[Planned]] = {}
-        for name, model in MODELS.items():
-            found[name] = list(
-                pool.map(
-                    lambda m, guesses, model=model: _plan_one(arm, model, m, guesses, config),
-                    movements,
-                    starts,
-                )
-            )
+        for name, kind in MODELS.items():
+            plan_one = functools.partial(_plan_one, arm, kind(), config)
+            found[name] = list(pool.map(plan_one, movements, starts))
             if isinstance(arm, MuscleArm):
                 starts = [[*s, p.us] for s, p in zip(starts, found[name], strict=True)]
     return found
@@ -124,7 +120,7 @@ def _at_rest(arm: MuscleArm | TorqueArm, movement: Movement) -> jax.Array:
     return arm.at_rest(q[0], q[1])
 
 
-def _plan_one(arm, model: AbstractModel, movement: Movement, guesses, config: Any) -> Planned:
+def _plan_one(arm, model: AbstractModel, config: Any, movement: Movement, guesses) -> Planned:
     """Solve from every guess, and keep the cheapest sound solution, or the cheapest at all."""
     task = task_of(arm, movement, config)
     problem, x0 = model.problem(task), model.start(task, _at_rest(arm, movement))

@@ -46,17 +46,18 @@ class TorqueChange(AbstractStepCost):
 
 
 class HandJerk(AbstractStepCost):
-    """Cost w/2 int |d^3 e/dt^3|^2 dt of an arm's jerky hand (Flash & Hogan 1985).
+    """Cost w/2 int |d^3 e/dt^3|^2 dt of an arm's hand, and w_a |d^2 e/dt^2(T)|^2 at the end.
 
     Li (2006), eq. 2.1; the jerk is the change of the hand's acceleration over a step.
 
     Arguments:
-        weight: w [s^5/m^2].
+        weight: w [s^5/m^2]. acceleration_weight: w_a [s^4/m^2].
     """
 
     weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-10)
+    acceleration_weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-4)
     running_is_quadratic: bool = eqx.field(static=True, default=True, init=False)
-    terminal_is_quadratic: bool = eqx.field(static=True, default=True, init=False)
+    terminal_is_quadratic: bool = eqx.field(static=True, default=False, init=False)
 
     def residual(self, plant: Any, x, u, after, dt):
         """Return sqrt(w) (d^2 e/dt^2(x') - d^2 e/dt^2(x))/dt, shape (2,)."""
@@ -68,8 +69,9 @@ class HandJerk(AbstractStepCost):
         return jnp.zeros((), x.dtype)
 
     def terminal(self, plant: Any, x):
-        """Return zero, shape ()."""
-        return jnp.zeros((), x.dtype)
+        """Return w_a |d^2 e/dt^2|^2, shape ()."""
+        acceleration = _hand_acceleration(plant, x, plant.nominal_control)
+        return self.acceleration_weight * jnp.sum(acceleration**2)
 
     @property
     def events(self):

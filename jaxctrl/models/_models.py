@@ -1,13 +1,16 @@
 """Theories of what a movement optimises, each applied to a task that is stated once."""
 
 import abc
+import dataclasses
 import functools
 import operator
 from collections.abc import Sequence
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .._cost import AbstractCost, parts
@@ -16,7 +19,15 @@ from .._plant import AbstractArm, AbstractHand
 from .._problem import Problem, check_array, check_x0, is_concrete
 from .._types import array_leaf
 from ..plants import FreeHand, PolynomialJerk, RateControlled
-from ..tasks import Effort, HandPath, HandTarget, Obstacle, PostureTarget, ViaPoints
+from ..tasks import (
+    Effort,
+    HandPath,
+    HandTarget,
+    JointLimits,
+    Obstacle,
+    PostureTarget,
+    ViaPoints,
+)
 from ._costs import Balance, HandJerk, PolynomialJerkCost, TorqueChange
 
 OF_THE_HAND = (HandTarget, HandPath, ViaPoints, Obstacle)
@@ -39,6 +50,13 @@ class AbstractModel(eqx.Module):
     name: eqx.AbstractClassVar[str]
     source: eqx.AbstractClassVar[str]
     smooth: eqx.AbstractClassVar[bool]
+
+    def __check_init__(self):
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            known = isinstance(value, jax.Array) and is_concrete(value)
+            if known and not (np.asarray(value) >= 0).all():
+                raise ValueError(f"{field.name}: at least 0 is wanted, got {value}")
 
     @abc.abstractmethod
     def cost(self, plant: AbstractArm) -> AbstractCost:
@@ -68,7 +86,7 @@ def goals(task: Problem) -> tuple[AbstractCost, ...]:
         raise TypeError(f"task: a problem such as jc.tasks.reach(...) is wanted, got {task!r}")
     found = tuple(part for part in parts(task.cost) if not isinstance(part, Effort))
     for part in found:
-        if not isinstance(part, (*OF_THE_HAND, PostureTarget)):
+        if not isinstance(part, (*OF_THE_HAND, PostureTarget, JointLimits)):
             raise TypeError(
                 f"task: one made by jc.tasks, of costs of the hand or posture, is wanted, got "
                 f"{type(part).__name__}"
@@ -76,9 +94,11 @@ def goals(task: Problem) -> tuple[AbstractCost, ...]:
     return found
 
 
-def _replace(task: Problem, plant: AbstractHand, cost: AbstractCost, integrator) -> Problem:
-    """Return the task's goals and grid with another plant, and `cost` in place of its effort."""
-    for goal in reversed(goals(task)):
+def _replace(
+    task: Problem, kept: Sequence[AbstractCost], plant: AbstractHand, cost: AbstractCost, integrator
+) -> Problem:
+    """Return the kept goals on the task's grid with another plant, and `cost` as its effort."""
+    for goal in reversed(kept):
         cost = goal + cost
     return Problem(plant, cost, num_steps=task.num_steps, dt=task.dt, integrator=integrator)
 
@@ -95,7 +115,7 @@ def _arm(task: Problem, model: AbstractModel) -> AbstractArm:
 def _on_arm(model: AbstractModel, task: Problem) -> Problem:
     """Return the problem of a model that moves the task's own arm."""
     arm = _moved(model, _arm(task, model))
-    problem = _replace(task, arm, model.cost(arm), task.integrator)
+    problem = _replace(task, goals(task), arm, model.cost(arm), task.integrator)
     if task.control_bounds is None:
         return problem
     if arm is not task.plant:
@@ -202,21 +222,22 @@ class MinimumJerk(AbstractModel):
     smooth: ClassVar[bool] = True
 
     def cost(self, plant):
-        """Return the cost of the jerk of an arm's hand."""
-        return HandJerk(self.weight)
+        """Return the cost of the jerk of an arm's hand, and of its acceleration at the end."""
+        return HandJerk(self.weight, self.acceleration_weight)
 
     def problem(self, task):
-        """Return the task of a free hand.
+        """Return the task of a free hand, which has no joints and so no limits of them.
 
         Raises TypeError for goals that are not of the hand alone, such as a posture.
         """
-        for goal in goals(task):
+        kept = [goal for goal in goals(task) if not isinstance(goal, JointLimits)]
+        for goal in kept:
             if not isinstance(goal, OF_THE_HAND):
                 raise TypeError(
                     f"task: {self.name} moves the hand alone and has no {type(goal).__name__}"
                 )
         cost = PolynomialJerkCost(self.weight, self.acceleration_weight)
-        return _replace(task, FreeHand(), cost, PolynomialJerk())
+        return _replace(task, kept, FreeHand(), cost, PolynomialJerk())
 
     def start(self, task, x0):
         """Return position, velocity and no acceleration of the hand, (6,), for x0 (nx,)."""
@@ -252,8 +273,6 @@ class WeightedSum(AbstractModel):
         if not self.models:
             raise ValueError("models: at least one is wanted, got none")
         self.weights = check_array("weights", weights, (len(self.models),), "one for each model")
-        if is_concrete(self.weights) and not bool((self.weights >= 0).all()):
-            raise ValueError(f"weights: at least 0 is wanted, got {self.weights}")
 
     def cost(self, plant):
         """Return the sum of the models' costs, each scaled by its weight."""

@@ -11,6 +11,7 @@ from .._linalg import solve_positive
 from .._plant import AbstractArm
 from .._types import Bounds
 from ._parameters import known, parameter
+from ._rate import RateControlled
 
 
 class AbstractField(eqx.Module):
@@ -117,7 +118,8 @@ class InField(AbstractArm):
         arm: any arm.
         field: the force F on its hand, such as `Curl()`.
 
-    Raises TypeError for what is no arm or no field, ValueError for a discrete arm.
+    Raises TypeError for what is no arm or no field, or a `RateControlled` arm, which takes the
+    field inside; ValueError for a discrete arm.
     """
 
     nx: int = eqx.field(static=True)
@@ -132,6 +134,8 @@ class InField(AbstractArm):
             raise TypeError(f"arm: a plant with joints is wanted, got {type(arm).__name__}")
         if not isinstance(field, AbstractField):
             raise TypeError(f"field: a force field such as Curl() is wanted, got {field!r}")
+        if isinstance(arm, RateControlled):
+            raise TypeError("arm: put the field inside, RateControlled(InField(arm, field))")
         if arm.discrete:
             raise ValueError("arm: a continuous plant is wanted, got a discrete one")
         self.nx, self.nu, self.num_joints = arm.nx, arm.nu, arm.num_joints

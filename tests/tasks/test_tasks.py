@@ -90,8 +90,57 @@ def test_obstacle_that_holds_the_target_or_the_start_is_refused_or_a_status(arm,
     with pytest.raises(ValueError, match="target: lies inside the obstacle"):
         jc.tasks.obstacle(arm, TARGET, TARGET + 0.01, 0.02)
     problem = jc.tasks.obstacle(arm, TARGET, arm.hand(x0) + 0.001, 0.02)
-    solution = jc.solve(problem, jc.ILQR(), x0)
-    assert solution.status.name == "NONFINITE_COST" and int(solution.status.index) == 0
+    with pytest.raises(ValueError, match=r"^x0: the hand starts inside the obstacle, 0.001414 m"):
+        jc.solve(problem, jc.ILQR(), x0)
+    status = jax.jit(lambda x0: jc.solve(problem, jc.ILQR(), x0).status)(x0)
+    assert status.name == "NONFINITE_COST" and int(status.index) == 0
+
+
+def test_a_start_inside_an_obstacle_is_found_in_any_part_of_a_cost_and_beside_it_is_allowed(
+    arm, x0
+):
+    def problem(centre):
+        disc = jc.tasks.Obstacle(centre, 0.02)
+        cost = jc.QuadraticCost(R=1.0) + (disc + jc.QuadraticCost(Qf=1.0))
+        return jc.Problem(arm, cost, num_steps=5)
+
+    with pytest.raises(ValueError, match=r"^x0: the hand starts inside"):
+        jc.solve(problem(arm.hand(x0)), jc.ILQR(), x0)
+    jc.tasks.Obstacle(arm.hand(x0) + 0.02, 0.02).check_start(arm, x0)
+    jc.solve(problem(arm.hand(x0) + 0.1), jc.ILQR(), x0)
+
+
+@pytest.mark.parametrize("of_states", [False, True])
+def test_effort_is_of_the_controls_or_of_the_torques_that_are_states(arm, of_states):
+    plant = jc.plants.RateControlled(arm) if of_states else arm
+    rng = np.random.default_rng(0)
+    x, u = jnp.asarray(rng.normal(size=plant.nx)), jnp.asarray(rng.normal(size=2))
+    c = x[4:] if of_states else u
+    W = np.array([[2.0, 0.3], [0.3, 1.0]])
+    for weight, wanted in (
+        (0.7, 0.35 * np.sum(c**2)),
+        (np.array([0.7, 0.1]), 0.5 * (0.7 * c[0] ** 2 + 0.1 * c[1] ** 2)),
+        (W, 0.5 * c @ W @ c),
+    ):
+        effort = jc.tasks.Effort(weight)
+        np.testing.assert_allclose(effort.running(plant, x, u, 0.0), wanted, rtol=1e-12)
+        assert effort.terminal(plant, x) == 0 and effort.events == ()
+    with pytest.raises(ValueError, match=r"^effort: shape \(3,\)"):
+        jc.tasks.Effort(np.ones(3)).running(plant, x, u, 0.0)
+
+
+def test_tasks_with_known_numbers_may_be_built_under_jit(arm):
+    """A concrete array is traced by what is computed from it there."""
+    centre = jnp.array([0.1, 0.5])
+
+    @jax.jit
+    def build(effort):
+        obstacle = jc.tasks.obstacle(arm, TARGET, centre, 0.02, num_steps=10, effort=effort)
+        via = jc.tasks.via(arm, TARGET, centre[None], jnp.array([0.2]), num_steps=10)
+        again = jc.Problem(arm, via.cost, num_steps=10, dt=jnp.array(0.05))
+        return obstacle.dt + via.dt + again.dt
+
+    np.testing.assert_allclose(build(1e-4), 0.15)
 
 
 def test_centre_out_is_a_batch_that_equals_single_reaches(arm, x0):
@@ -156,7 +205,7 @@ def test_changing_a_task_does_not_compile_again(arm, x0):
         (
             lambda arm: jc.tasks.reach(jc.FunctionPlant(lambda x, u, t: x, nx=2, nu=2), TARGET),
             TypeError,
-            "plant: one with joints and a hand",
+            "plant: one with a hand is wanted",
         ),
         (lambda arm: jc.tasks.centre_out(arm, jnp.zeros(3)), ValueError, r"x0: got shape \(3,\)"),
         (lambda arm: jc.tasks.centre_out(arm, jnp.zeros(4), n=0), ValueError, "n: at least one"),

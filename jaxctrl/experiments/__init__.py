@@ -43,6 +43,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.two_thirds",
         "The two-thirds power law on closed paths traced optimally, with their timing free",
     ),
+    "curvature-map": (
+        "jaxctrl.experiments.curvature_map",
+        "Curvature of 10 cm reaches over the workspace, under two models",
+    ),
 }
 """Name of each experiment, its module and one line about it."""
 

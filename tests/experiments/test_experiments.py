@@ -11,7 +11,17 @@ from jaxctrl import experiments
 from jaxctrl.experiments._result import Claim, Result
 
 
-@pytest.mark.parametrize("name", experiments.names())
+# What compiles long and is otherwise like another one.
+SLOW = {"fig-3.8", "fig-3.10", "two-thirds"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
+        for name in experiments.names()
+    ],
+)
 def test_quick_run_converges_draws_and_claims(name):
     module = experiments.load(name)
     config = module.Config.quick()

@@ -1,7 +1,8 @@
 """Differentiable optimal control of biological and robotic movement, in JAX.
 
 A `Problem` (plant, cost, noise, bounds, time grid) goes through a solver and comes out as a
-`Solution`, whose policy `simulate` runs. Submodules: `plants`, `tasks`, `linear`, `plot`.
+`Solution`, whose policy `simulate` runs. Submodules: `plants`, `tasks`, `models`, `analysis`,
+`linear`, `plot`.
 """
 
 import importlib

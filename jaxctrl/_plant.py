@@ -41,7 +41,14 @@ class AbstractPlant(eqx.Module):
 
 
 class AbstractHand(AbstractPlant):
-    """A plant with a hand that moves in the plane: what every movement task asks for."""
+    """A plant with a hand that moves in the plane: what every movement task asks for.
+
+    Attributes:
+        longest_reach: the largest distance of the hand from the origin [m], shape (); tasks refuse
+            goals beyond it.
+    """
+
+    longest_reach: eqx.AbstractVar[Float[Array, ""]]
 
     @abc.abstractmethod
     def hand(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:

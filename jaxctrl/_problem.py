@@ -119,6 +119,14 @@ class Problem(eqx.Module):
                 f"problem: a batch, its dt has shape {self.dt.shape}; it goes through jax.vmap"
             )
 
+    def __add__(self, cost: AbstractCost) -> "Problem":
+        """Return the problem with a further cost, such as an obstacle: `task + Obstacle(...)`."""
+        if not isinstance(cost, AbstractCost):
+            return NotImplemented
+        problem = eqx.tree_at(lambda p: p.cost, self, self.cost + cost)
+        problem.__check_init__()
+        return problem
+
     @property
     def duration(self) -> Float[Array, ""]:
         """The time from the first state to the last, T dt [s], shape ()."""
@@ -258,6 +266,8 @@ def check_x0(problem: Problem, x0: ArrayLike) -> Float[Array, " nx"]:
         hint = "drop the second axis"
     elif len(shape) == 2 and shape[1] == nx:
         hint = "a batch goes through jax.vmap"
+    elif hasattr(problem.plant, "lift"):
+        hint = "plant.lift(x0) or model.start(task, x0) gives it from a state of the arm"
     return check_array("x0", x0, (nx,), hint)
 
 

@@ -65,6 +65,10 @@ def simulate(
         )
     x0 = check_x0(problem, x0)
     if plant is not None:
+        if not isinstance(plant, AbstractPlant):
+            raise TypeError(
+                f"plant: a plant is wanted, such as InField(arm, Curl()), got {plant!r}"
+            )
         if (plant.nx, plant.nu) != (problem.plant.nx, problem.plant.nu):
             raise ValueError(
                 f"plant: {plant.nx} states and {plant.nu} controls, wanted "

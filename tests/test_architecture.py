@@ -41,6 +41,7 @@ FLOORS = {
     "models": 5,
     "experiments": 6,
     "cli": 7,
+    "__main__": 8,
 }
 # On one floor, a file may import one that comes earlier here.
 WITHIN = {

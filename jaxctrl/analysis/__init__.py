@@ -30,7 +30,7 @@ from ._power_law import (
     power_law as power_law,
     power_law_null as power_law_null,
 )
-from ._recorded import load_movements as load_movements
+from ._recorded import load_movements as load_movements, trials as trials
 from ._speed_accuracy import (
     SpeedAccuracyFits as SpeedAccuracyFits,
     SpeedAccuracyLaw as SpeedAccuracyLaw,

@@ -86,5 +86,8 @@ def positive(name: str, value: Any, wanted: str) -> np.ndarray:
 def all_finite(name: str, array: np.ndarray) -> np.ndarray:
     """Return `array`, or raise ValueError where a sample is not finite."""
     if not np.isfinite(array).all():
-        raise ValueError(f"{name}: finite numbers are wanted; leave out or fill the gaps first")
+        raise ValueError(
+            f"{name}: finite numbers are wanted; leave out or fill the gaps first "
+            "(`analysis.trials` leaves out what lies after the end of a loaded trial)"
+        )
     return array

@@ -1,5 +1,6 @@
 """Recorded movements: read, checked, brought to one rate and freed of high-frequency noise."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,11 @@ def load_movements(
 
     Returns: Dataset with `hand` (trial, time, axis) [m], NaN after the end of a trial; `duration`
     (trial,) [s], from its first to its last finite sample; and the coordinates trial (as in the
-    source, in order of appearance), time [s] from the first sample, and axis ("x", "y").
+    source, in order of appearance), time [s] from the first sample, and axis ("x", "y"). The
+    measures take one trial without its NaN at a time:
+
+        for name, ts, path in trials(data):
+            print(name, speed(path, ts).max(), symmetry(ts, speed(path, ts)), deviation(path))
 
     Raises: TypeError for another source. ValueError naming the argument that does not fit, a
     missing column, and the trials whose times are not finite or do not increase, that have fewer
@@ -89,6 +94,22 @@ def load_movements(
             + more
         )
     return _dataset(names, np.array(spans), hands, rate)
+
+
+def trials(data: xarray.Dataset) -> Iterator[tuple[Any, np.ndarray, np.ndarray]]:
+    """Go through the trials of `load_movements`, each without what lies after its end.
+
+    Arguments:
+        data: Dataset with `hand` (trial, time, axis) [m], NaN after the end of a trial.
+    Returns: for each trial its name, its times [s], (N,), and its path [m], (N, 2).
+    Raises: ValueError for a Dataset without these.
+    """
+    if "hand" not in data or data.hand.dims != ("trial", "time", "axis"):
+        raise ValueError("data: `hand` (trial, time, axis) is wanted, as load_movements returns it")
+    for name, path in zip(data.trial.values, data.hand.values, strict=True):
+        last = np.flatnonzero(np.isfinite(path).all(axis=1))
+        count = int(last[-1]) + 1 if last.size else 0
+        yield name, data.time.values[:count], path[:count]
 
 
 def _check_numbers(rate: float, cutoff: float | None, order: int, max_gap: float) -> None:

@@ -221,6 +221,11 @@ def least_jerk(movement: Movement, ts: np.ndarray) -> Path:
     return minimum_jerk(movement.start, movement.target, ts[-1], ts, **movement.via)
 
 
+def milliseconds(time: float) -> str:
+    """Write a time [s] in milliseconds, or that there is none."""
+    return f"{1e3 * time:.0f} ms" if np.isfinite(time) else "none"
+
+
 def passed(data: xarray.Dataset, model: str, source: str) -> Claim:
     """Judge whether the via-points are passed."""
     miss = 1e3 * data.miss.sel(model=model).values
@@ -265,4 +270,7 @@ def draw(data: xarray.Dataset, numbers: dict[str, str]) -> Figure:
         with plot.style():
             row[0].set_title(f"{number}  minimum {model}", loc="left")
             row[1].set_title("grey: when the via-point is passed", loc="left", color="0.4")
+    top = max(ax.get_ylim()[1] for ax in axes[:, 1])
+    for ax in axes[:, 1]:
+        ax.set_ylim(0, top)
     return fig

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from .. import analysis
 from ..plants import MuscleArm
-from ._planned import Movement, dataset, draw, failures, passed, plan, profiles
+from ._planned import Movement, dataset, draw, failures, milliseconds, passed, plan, profiles
 from ._result import Claim, Result
 
 START, TARGET, POINT = np.array([[-0.2, 0.42], [0.2, 0.42], [0.0, 0.58]])
@@ -97,7 +97,7 @@ def _order(model: str, source: str, speeds: list[analysis.SpeedProfile]) -> Clai
         f"The later the passing, the later the speed's valley ({model})",
         source,
         "ordered as 150, 250 and 320 ms",
-        "valleys at " + ", ".join(f"{1e3 * time:.0f}" for time in times) + " ms",
+        "valleys at " + ", ".join(milliseconds(time) for time in times),
         bool(np.all(np.diff(times) > 0)),
         "the valley of 150 ms comes late: the hand passes far from the via-point, see above",
     )

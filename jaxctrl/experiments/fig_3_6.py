@@ -17,6 +17,7 @@ from ._planned import (
     dataset,
     draw,
     failures,
+    milliseconds,
     passed,
     plan,
     profiles,
@@ -111,7 +112,7 @@ def _valley(model: str, source: str, speeds: list[analysis.SpeedProfile], passin
         f"The speed's valley is where the via-point is passed, under minimum {model}",
         source,
         f"within 40 ms of {1e3 * passing:.0f} ms",
-        "valleys at " + " and ".join(f"{1e3 * t:.0f} ms" for t in times),
+        "valleys at " + " and ".join(milliseconds(time) for time in times),
         bool(np.all(np.abs(np.array(times) - passing) <= 0.04)),
         "where the via-point is far from where the path bends most, the valley goes with the bend",
     )

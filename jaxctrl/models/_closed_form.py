@@ -56,6 +56,12 @@ def minimum_jerk(
     duration = check_array("duration", duration, ())
     ts = check_array("ts", ts, (np.size(ts),))
     points, times = _check_via(points, times, duration)
+    if is_concrete(ts, duration) and ts.size:
+        known, last = np.asarray(ts), float(np.asarray(duration))
+        if known.min() < -1e-9 * last or known.max() > last * (1 + 1e-6):
+            raise ValueError(
+                f"ts: times from 0 to {last:g} s are wanted, got up to {known.max():g}"
+            )
     return Path(*_evaluate(start, target, duration, ts, points, times))
 
 

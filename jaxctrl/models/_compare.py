@@ -11,17 +11,21 @@ from matplotlib.figure import Figure
 
 from .. import analysis, plot
 from .._cost import parts
-from .._problem import Problem
+from .._problem import Problem, is_concrete
 from ..solvers import DDP, AbstractSolver
 from ..solvers._solution import Solution
 from ..solvers._solve import solve
-from ..tasks import HandTarget, Obstacle, ViaPoints
+from ..tasks import HandPath, HandTarget, Obstacle, ViaPoints
 from ._models import AbstractModel
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """Hold one task as several models have it; printed, a table.
+
+    The end error is the distance of the last position from the target, or from the end of a tracked
+    path; the deviation is that from the straight line, or, of a tracked path, the root mean square
+    distance from where the hand should be.
 
     Arguments:
         task: the task. models: what was compared; names: one name for each.
@@ -65,15 +69,12 @@ class Comparison:
             "end error",
         )
         rows = [head, ("", "", "", "m/s", "s", "", "mm", "mm")]
-        targets = _targets(self.task)
         for name, solution, hand, speed in zip(
             self.names, self.solutions, self.hands, self.speeds, strict=True
         ):
             found = analysis.speed_peaks(self.ts, speed)
             at = found.peak_times[found.peak_speeds.argmax()] if len(found.peak_times) else np.nan
-            straight = np.linalg.norm(hand[-1] - hand[0]) > 1e-9
-            aside = abs(float(analysis.deviation(hand))) if straight else np.nan
-            error = np.linalg.norm(hand[-1] - targets[-1]) if len(targets) else np.nan
+            aside, error = _errors(self.task, hand)
             rows.append(
                 (
                     name,
@@ -82,8 +83,8 @@ class Comparison:
                     f"{speed.max():.3f}",
                     f"{at:.3f}",
                     f"{len(found.peak_times)}",
-                    f"{1e3 * aside:.2f}",
-                    f"{1e3 * error:.3f}",
+                    "-" if aside is None else f"{1e3 * aside:.2f}",
+                    "-" if error is None else f"{1e3 * error:.3f}",
                 )
             )
         widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
@@ -98,6 +99,8 @@ class Comparison:
             if not bool(solution.status.ok)
         ]
         return "\n".join(lines + bad)
+
+    __repr__ = __str__
 
     def figure(self) -> Figure:
         """Draw the paths, with targets, via-points and obstacles, beside the speed profiles."""
@@ -123,6 +126,20 @@ class Comparison:
         return figure
 
 
+def _errors(task: Problem, hand: np.ndarray) -> tuple[float | None, float | None]:
+    """Return a path's deviation and its error at the end [m]; None where the task has none."""
+    targets = _targets(task)
+    for part in parts(task.cost):
+        if isinstance(part, HandPath):
+            wanted = np.asarray(jax.vmap(part.at)(task.ts))
+            squares = np.sum((hand - wanted) ** 2, axis=1)
+            return float(np.sqrt(np.mean(squares))), float(np.sqrt(squares[-1]))
+    straight = np.linalg.norm(hand[-1] - hand[0]) > 1e-6
+    aside = abs(float(analysis.deviation(hand))) if straight else None
+    error = float(np.linalg.norm(hand[-1] - targets[-1])) if len(targets) else None
+    return aside, error
+
+
 def _targets(task: Problem) -> np.ndarray:
     """Return the targets of the hand [m], (n, 2)."""
     found = [part.position for part in parts(task.cost) if isinstance(part, HandTarget)]
@@ -146,16 +163,24 @@ def compare(
         solver, max_steps: as in `jc.solve`; `DDP()` by default, whose convergence does not slow
             down where the costs of torque changes make an ILQR's do so.
 
-    Returns: `Comparison`: print it, draw its `figure()`, look at `ok`.
+    Returns: `Comparison`: print it, draw its `figure()`, look at `ok`. It is for known values, not
+    under jit. The first call compiles: half a minute or more with muscles.
 
     Raises TypeError or ValueError, naming the argument, for what does not fit, such as a posture
     for a model of the hand alone.
     """
+    if isinstance(models, Problem):
+        raise TypeError("models: a list of models is wanted first, then the task, got a task")
+    if not is_concrete(x0, *jax.tree.leaves(eqx.filter(task, eqx.is_array))):
+        raise ValueError(
+            "task, x0: known values are wanted, got traced ones; under jit, vmap or grad use "
+            "jc.solve(model.problem(task), solver, model.start(task, x0))"
+        )
     single = isinstance(models, AbstractModel | type)
     given: tuple[AbstractModel, ...] = (models,) if single else tuple(models)  # pyright: ignore
     for model in given:
         if not isinstance(model, AbstractModel):
-            hint = "; write MinimumJerk() with parentheses" if isinstance(model, type) else ""
+            hint = f"; write {model.__name__}()" if isinstance(model, type) else ""
             raise TypeError(f"models: a model is wanted, got {model!r}{hint}")
     if not given:
         raise ValueError("models: at least one is wanted, got none")

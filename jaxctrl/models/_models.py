@@ -4,6 +4,7 @@ import abc
 import dataclasses
 import functools
 import operator
+import warnings
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -37,7 +38,12 @@ class AbstractModel(eqx.Module):
     """What a movement optimises, besides reaching its goals.
 
     `problem(task)` keeps a task's plant, goals and grid, and puts the model's cost in the place of
-    the task's `Effort`; `start(task, x0)` gives the state from which to solve it. Models are
+    the task's `Effort`; `start(task, x0)` gives the state from which to solve it, which may have
+    more parts than x0:
+
+        solution = jc.solve(model.problem(task), jc.DDP(), model.start(task, x0))
+
+    This works under jit, vmap and grad; `jc.compare` does it for several models at once. Models are
     deterministic: the task's noise is left out.
 
     Attributes:
@@ -236,6 +242,13 @@ class MinimumJerk(AbstractModel):
                 raise TypeError(
                     f"task: {self.name} moves the hand alone and has no {type(goal).__name__}"
                 )
+        beside = any(isinstance(goal, Obstacle) for goal in kept)
+        if beside and is_concrete(self.weight) and float(np.asarray(self.weight)) < 1e-9:
+            warnings.warn(
+                f"MinimumJerk: beside its weight of {float(np.asarray(self.weight)):.0e} the "
+                "obstacle's counts so much that the hand goes far around; try MinimumJerk(1e-8)",
+                stacklevel=2,
+            )
         cost = PolynomialJerkCost(self.weight, self.acceleration_weight)
         return _replace(task, kept, FreeHand(), cost, PolynomialJerk())
 

@@ -4,13 +4,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 from jaxtyping import Array, ArrayLike
 
 from .._cost import SumCost
-from .._problem import Problem, check_us, check_x0
+from .._problem import Problem, check_us, check_x0, is_concrete
 from ..solvers import AbstractSolver
 from ..solvers._solution import Solution
 from ..solvers._solve import solve
@@ -23,7 +24,7 @@ FIRST = 0.2
 """Largest first change of a time, as a fraction of the duration; our choice."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OptimalTimes:
     """Hold a movement whose times were optimised.
 
@@ -55,6 +56,8 @@ class OptimalTimes:
         if self.times.size:
             rows.insert(2, ("passing", ", ".join(f"{t:.6g}" for t in self.times) + " s"))
         return "\n".join([head, *(f"  {n:<12}{v}" for n, v in rows), f"  {self.message}"])
+
+    __repr__ = __str__
 
 
 def optimise_times(
@@ -93,6 +96,10 @@ def optimise_times(
     """
     if not isinstance(problem, Problem):
         raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
+    if not is_concrete(x0, *jax.tree.leaves(eqx.filter(problem, eqx.is_array))):
+        raise ValueError(
+            "problem, x0: known values are wanted, got traced ones (under jit or grad)"
+        )
     x0, us = check_x0(problem, x0), check_us(problem, us)
     start = float(problem.duration)
     given = _passing(problem.cost)
@@ -123,7 +130,7 @@ def optimise_times(
         )
     except _Failed as error:
         return search.result(False, f"a solve on the way failed: {error}")
-    return search.result(bool(found.success), found.message)
+    return search.result(bool(found.success), found.message + search.remarks(low, high, passing))
 
 
 class _Failed(Exception):
@@ -180,6 +187,19 @@ class _Search:
         if self.scale is None:  # SLSQP's first step is the gradient's: far away is another optimum
             self.scale = max(abs(value), np.abs(slope).max() / FIRST, 1e-300)
         return value / self.scale, slope / self.scale
+
+    def remarks(self, low: float, high: float, passing: bool) -> str:
+        """Say where the best times lie at a limit or, in a kink, on a grid point."""
+        assert self.best is not None
+        duration, times = self.seconds(self.best[1])
+        said = ""
+        for limit, name in ((low, "lower"), (high, "upper")):
+            if low < high and abs(duration - limit) < 1e-3 * high:
+                said += f"; the duration is at its {name} limit"
+        position = times / duration * self.problem.num_steps
+        if passing and (np.abs(position - np.round(position)) < 1e-3).any():
+            said += "; a passing time lies on a grid point, in a kink: more steps tell more"
+        return said
 
     def result(self, ok: bool, message: str) -> OptimalTimes:
         """Return the best of what was tried."""

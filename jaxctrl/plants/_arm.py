@@ -191,6 +191,11 @@ class TorqueArm(AbstractArm):
         """Return (dq, M^-1 (u - C - B dq)), shape (4,)."""
         return jnp.concatenate([x[2:], self.skeleton.acceleration(x[:2], x[2:], u)])
 
+    @property
+    def longest_reach(self) -> Float[Array, ""]:
+        """The arm stretched out, l1 + l2 [m], shape ()."""
+        return self.skeleton.l1 + self.skeleton.l2
+
     def hand_of_joints(self, q: Float[Array, "2"]) -> Float[Array, "2"]:
         """Return the hand's position [m], shape (2,); see `TwoLinkArm.hand`."""
         return self.skeleton.hand(q)

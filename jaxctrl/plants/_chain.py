@@ -135,6 +135,11 @@ class Chain(AbstractArm):
         wall = (zero, jnp.asarray(self.gravity, dtype))
         return jax.lax.scan(outward, wall, (c, s, spin, l, *answers))[1]
 
+    @property
+    def longest_reach(self) -> Float[Array, ""]:
+        """The chain stretched out [m], shape ()."""
+        return jnp.sum(self.length)
+
     def hand_of_joints(self, q: Float[Array, " n"]) -> Float[Array, "2"]:
         """Return the tip of the last link [m], shape (2,), for joint angles q (n,) [rad]."""
         phi = jnp.cumsum(q)

@@ -15,7 +15,7 @@ from ._rate import RateControlled
 
 
 class AbstractField(eqx.Module):
-    """A force on the hand, as a function of its position, its velocity and time."""
+    """A force on the hand [N]: `field(position, velocity, t)`, for a hand at (2,) [m]."""
 
     @abc.abstractmethod
     def __call__(
@@ -68,7 +68,8 @@ class Channel(AbstractField):
     """Hold the hand on a straight line by a stiff, damped wall on either side.
 
     F = -(k d + c dd/dt) n, with d the distance from the line through `start` and `target` along
-    its normal n: an error clamp (Scheidt, Reinkensmeyer, Conditt, Rymer & Mussa-Ivaldi 2000).
+    its normal n: an error clamp (Scheidt, Reinkensmeyer, Conditt, Rymer & Mussa-Ivaldi 2000). The
+    force on a wall, which such experiments measure, is `channel(position, velocity, t)`.
 
     Arguments:
         start, target: two points of the line [m], each (2,).
@@ -101,6 +102,7 @@ class Channel(AbstractField):
 
     def __call__(self, position, velocity, t):
         """Return -(k d + c dd/dt) n [N], shape (2,)."""
+        position, velocity = jnp.asarray(position), jnp.asarray(velocity)
         along = self.target - self.start
         across = jnp.stack([-along[1], along[0]]) / jnp.sqrt(jnp.sum(along**2))
         d, rate = jnp.sum((position - self.start) * across), jnp.sum(velocity * across)
@@ -112,7 +114,9 @@ class InField(AbstractArm):
 
     M(q) ddq = tau - C(q, dq) - B dq + J(q)'F(e, de/dt, t),  J = de/dq
 
-    State and control are those of the arm. Fields add up by wrapping an arm twice.
+    State and control are those of the arm, which makes the starting state: `arm.at_rest(...)`.
+    Fields add up by wrapping an arm twice. A feedback law made without the field may do harm in it
+    where its controls are at their bounds, as muscles' excitations mostly are: it is a local law.
 
     Arguments:
         arm: any arm.
@@ -133,7 +137,8 @@ class InField(AbstractArm):
         if not isinstance(arm, AbstractArm):
             raise TypeError(f"arm: a plant with joints is wanted, got {type(arm).__name__}")
         if not isinstance(field, AbstractField):
-            raise TypeError(f"field: a force field such as Curl() is wanted, got {field!r}")
+            hint = f"; write {field.__name__}()" if isinstance(field, type) else ""
+            raise TypeError(f"field: a force field such as Curl() is wanted, got {field!r}{hint}")
         if isinstance(arm, RateControlled):
             raise TypeError("arm: put the field inside, RateControlled(InField(arm, field))")
         if arm.discrete:
@@ -163,6 +168,11 @@ class InField(AbstractArm):
         rest = jnp.zeros_like(x[2 * n :])
         pushed = jnp.concatenate([jnp.zeros_like(dq), push[:, 0], rest])
         return self.arm(x, u, t) + pushed
+
+    @property
+    def longest_reach(self) -> Float[Array, ""]:
+        """That of the arm [m], shape ()."""
+        return self.arm.longest_reach
 
     def hand_of_joints(self, q: Float[Array, " n"]) -> Float[Array, "2"]:
         """Return the hand's position [m], shape (2,), for joint angles q (n,) [rad]."""

@@ -38,6 +38,11 @@ class FreeHand(AbstractHand):
         """Return (velocity, acceleration, mean jerk), shape (6,)."""
         return jnp.concatenate([x[2:], u[:2]])
 
+    @property
+    def longest_reach(self) -> Float[Array, ""]:
+        """No limit: infinite [m], shape ()."""
+        return jnp.asarray(jnp.inf, self.nominal_control.dtype)
+
     def hand(self, x: Float[Array, "6"]) -> Float[Array, "2"]:
         """Return the position [m], shape (2,); raises ValueError when x is not of shape (6,)."""
         _check(x)

@@ -194,6 +194,11 @@ class MuscleArm(AbstractArm):
         """Return the torques R(q) T at shoulder and elbow [N m], shape (2,), in a state x (10,)."""
         return jnp.sum(self.moment_arms(x[:2]) * self.muscle_tension(x), axis=1)
 
+    @property
+    def longest_reach(self) -> Float[Array, ""]:
+        """The arm stretched out, l1 + l2 [m], shape ()."""
+        return self.skeleton.l1 + self.skeleton.l2
+
     def joint_torque(self, x: Float[Array, "10"], u: Float[Array, "6"]) -> Float[Array, "2"]:
         """Return the muscles' torques R(q) T [N m], shape (2,); they do not depend on u (6,)."""
         return self.muscle_torque(x)

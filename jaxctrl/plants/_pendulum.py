@@ -63,6 +63,11 @@ class Pendulum(AbstractArm):
         rate = self.g / self.l * jnp.sin(x[0]) + (u[0] - self.friction * x[1]) / inertia
         return jnp.stack([x[1], rate])
 
+    @property
+    def longest_reach(self) -> Float[Array, ""]:
+        """The length of the rod [m], shape ()."""
+        return self.l
+
     def hand_of_joints(self, q: Float[Array, "1"]) -> Float[Array, "2"]:
         """Return the position of the bob, (l sin q, l cos q) [m], shape (2,), for q (1,) [rad]."""
         return self.l * jnp.stack([jnp.sin(q[0]), jnp.cos(q[0])])

@@ -67,6 +67,11 @@ class RateControlled(AbstractArm):
             [x, state_part("command", command, self.nominal_control, (self.nu,))]
         )
 
+    @property
+    def longest_reach(self) -> Float[Array, ""]:
+        """That of the arm [m], shape ()."""
+        return self.arm.longest_reach
+
     def hand_of_joints(self, q: Float[Array, " n"]) -> Float[Array, "2"]:
         """Return the hand's position [m], shape (2,), for joint angles q (n,) [rad]."""
         return self.arm.hand_of_joints(q)

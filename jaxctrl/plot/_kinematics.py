@@ -33,19 +33,15 @@ def speed_and_curvature(
         ts: times [s], (N,); or a list of such, one for each entry of a list `speeds`.
         speeds: speeds [m/s], (N,); or (trials, N), drawn in one colour with their mean; or a list
             of either, one entry for each colour.
-        curvatures: absolute curvatures [1/m], of the shapes of `speeds`.
+        curvatures: curvatures [1/m], of the shapes of `speeds`, drawn without their sign.
         labels: one name for each entry of the list `speeds`.
         marks: instants [s], () or (m,), such as those of passing via-points: thin vertical lines.
     Returns: the Figure.
-    Raises: ValueError for a wrong shape, a wrong number of labels, no finite sample, or a negative
-        curvature.
+    Raises: ValueError for a wrong shape, a wrong number of labels, or no finite sample.
     """
     above = _inputs.groups("speeds", speeds, _CURVES)
-    below = _inputs.groups("curvatures", curvatures, _CURVES)
+    below = [np.abs(group) for group in _inputs.groups("curvatures", curvatures, _CURVES)]
     _same_shapes("curvatures", below, "speeds", above)
-    lowest = np.nanmin(np.concatenate([group.ravel() for group in below]))
-    if lowest < 0:
-        raise ValueError(f"curvatures: absolute values are wanted, got {lowest:g}")
     names = _inputs.names_for("labels", labels, len(above), "entry of `speeds`")
     clocks = _inputs.clocks(ts, above, "speeds")
     instants = [] if marks is None else _inputs.times("marks", np.atleast_1d(marks))
@@ -74,6 +70,7 @@ def power_law(
     *,
     exponent: Any = None,
     gain: Any = None,
+    longest: float = 1.0,
     labels: str | Sequence[str] | None = None,
     ax: Axes | None = None,
 ) -> Figure:
@@ -88,13 +85,15 @@ def power_law(
         speed: speeds v [m/s], of the shapes of `radius`.
         exponent: dimensionless, a number or one for each entry; NaN draws no line.
         gain: [m^(1 - exponent)/s], a number or one for each entry.
+        longest: largest radius that is drawn [m]; 1 is where `analysis.power_law` takes a path for
+            straight.
         labels: one name for each entry of the list `radius`.
         ax: Axes to draw into instead of a new figure.
     Returns: the Figure.
     Raises: ValueError for a wrong shape, a wrong number of labels, an exponent without gain or the
         reverse, or an entry without any positive sample.
     """
-    clouds = _clouds(_inputs.groups("radius", radius, _CURVES), speed)
+    clouds = _clouds(_inputs.groups("radius", radius, _CURVES), speed, longest)
     names = _inputs.names_for("labels", labels, len(clouds), "entry of `radius`")
     if (exponent is None) != (gain is None):
         raise ValueError("exponent, gain: both or neither are wanted")
@@ -117,16 +116,19 @@ def power_law(
     return figure_of(axes)
 
 
-def _clouds(radii: list[np.ndarray], speed: Any) -> list[np.ndarray]:
-    """Return the positive samples of each entry, radius and speed, as (2, n)."""
+def _clouds(radii: list[np.ndarray], speed: Any, longest: float) -> list[np.ndarray]:
+    """Return the positive samples of each entry up to a radius, radius and speed, as (2, n)."""
     speeds = _inputs.groups("speed", speed, _CURVES)
     _same_shapes("speed", speeds, "radius", radii)
     clouds = []
     for i, pair in enumerate(zip(radii, speeds, strict=True)):
         cloud = np.stack([array.ravel() for array in pair])
-        clouds.append(cloud[:, (cloud > 0).all(axis=0)])
+        clouds.append(cloud[:, (cloud > 0).all(axis=0) & (cloud[0] <= longest)])
         if not clouds[-1].size:
-            raise ValueError(f"radius, speed: entry {i} has no sample where both are positive")
+            raise ValueError(
+                f"radius, speed: entry {i} has no sample where both are positive and the radius is "
+                f"at most {longest:g} m"
+            )
     return clouds
 
 

@@ -83,8 +83,9 @@ def points(
 
     Arguments:
         points: positions [m], (n, 2); or a list of such, one entry for each colour.
-        ellipses: a tuple (centre (2,) [m], half axes (2,) [m], angle of the first from +x [rad]);
-            or a list of such, one for each entry of `points`, drawn in its colour.
+        ellipses: what `analysis.endpoint_ellipse` returns, or a tuple (centre (2,) [m], half axes
+            (2,) [m], angle of the first from +x [rad]); or a list of such, one for each entry of
+            `points`, drawn in its colour.
         targets: positions [m], (2,) or (n, 2), drawn as rings.
         labels: one name for each entry of the list `points`.
         ax: Axes to draw into instead of a new figure.
@@ -130,7 +131,12 @@ def _ellipses(value: Any, count: int) -> list[tuple[np.ndarray, np.ndarray, floa
     """Return the centre (2,), half axes (2,) and angle of each ellipse; none for None."""
     if value is None:
         return []
-    entries = [value] if isinstance(value, tuple) else list(value)
+    if isinstance(value, tuple) or hasattr(value, "half_axes"):
+        value = [value]
+    entries = [
+        (entry.centre, entry.half_axes, entry.angle) if hasattr(entry, "half_axes") else entry
+        for entry in value
+    ]
     if len(entries) != count:
         raise ValueError(
             f"ellipses: {len(entries)} given, wanted {count}, one for each entry of `points`"

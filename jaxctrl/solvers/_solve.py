@@ -53,7 +53,7 @@ def solve(
     if not isinstance(problem, Problem):
         raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
     if not isinstance(solver, AbstractSolver):
-        hint = "; write ILQR() with parentheses" if isinstance(solver, type) else ""
+        hint = f"; write {solver.__name__}() with parentheses" if isinstance(solver, type) else ""
         raise TypeError(f"solver: a solver is wanted, got {solver!r}{hint}")
     if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 0:
         raise ValueError(f"max_steps: an integer >= 0 is wanted, got {max_steps!r}")

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +11,8 @@ from .._cost import AbstractCost, QuadraticCost
 from .._noise import SignalDependentNoise
 from .._plant import AbstractArm, AbstractHand, AbstractPlant
 from .._problem import Problem, check_array, is_concrete
-from .._types import array_leaf, as_bounds
+from .._types import as_bounds
+from ._checks import check_hand, check_reach, check_weights, grid
 from ._costs import (
     Effort,
     HandPath,
@@ -23,51 +23,10 @@ from ._costs import (
     ViaPoints,
 )
 
-STEP = 0.01
-"""The time step [s] aimed at when `num_steps` is not given."""
-
-
-def _grid(duration: ArrayLike, num_steps: int | None) -> tuple[int, ArrayLike]:
-    """Return the number of steps and the time step [s]."""
-    if num_steps is None:
-        if not is_concrete(duration):
-            raise ValueError(
-                "num_steps: wanted when `duration` is traced (under jit, grad or vmap), since "
-                "the number of steps is static"
-            )
-        if np.shape(duration) != ():
-            raise ValueError(f"duration: got shape {np.shape(duration)}, wanted ()")
-        seconds = float(np.asarray(duration))  # jnp would trace it, under jit
-        if not 0 < seconds < np.inf:
-            raise ValueError(f"duration: a positive time [s] is wanted, got {duration}")
-        num_steps = max(1, round(seconds / STEP))
-    elif num_steps < 1:
-        raise ValueError(f"num_steps: at least 1 is wanted, got {num_steps}")
-    return num_steps, duration / num_steps
-
-
-def _check_hand(plant: AbstractPlant) -> AbstractHand:
-    if not isinstance(plant, AbstractHand):
-        raise TypeError(f"plant: one with a hand is wanted, got {type(plant).__name__}")
-    return plant
-
-
-def _check_weights(**weights: ArrayLike | None) -> None:
-    """Raise ValueError or TypeError, naming the argument, for a weight known to be negative."""
-    for name, value in weights.items():
-        if value is None:
-            continue
-        try:
-            value = array_leaf(value)
-        except TypeError as error:
-            raise TypeError(f"{name}: {error}") from None
-        if is_concrete(value) and not (np.asarray(value) >= 0).all():
-            raise ValueError(f"{name}: at least 0 is wanted, got {value}")
-
 
 def _problem(plant, cost: AbstractCost, duration, num_steps, effort, motor_noise) -> Problem:
-    _check_weights(effort=effort, motor_noise=motor_noise)
-    num_steps, dt = _grid(duration, num_steps)
+    check_weights(effort=effort, motor_noise=motor_noise)
+    num_steps, dt = grid(duration, num_steps)
     noise = None if motor_noise is None else SignalDependentNoise(motor_noise)
     return Problem(plant, cost + Effort(effort), num_steps=num_steps, dt=dt, noise=noise)
 
@@ -129,14 +88,16 @@ def hit(
 
     Arguments as in `reach`, and velocity: v* [m/s], shape (2,).
     """
-    _check_weights(position_weight=position_weight, velocity_weight=velocity_weight)
+    check_weights(position_weight=position_weight, velocity_weight=velocity_weight)
+    plant, target = check_hand(plant), check_array("target", target, (2,))
+    check_reach(plant, "target", target)
     cost = HandTarget(
-        check_array("target", target, (2,)),
+        target,
         check_array("velocity", velocity, (2,)),
         position_weight,
         velocity_weight,
     )
-    return _problem(_check_hand(plant), cost, duration, num_steps, effort, motor_noise)
+    return _problem(plant, cost, duration, num_steps, effort, motor_noise)
 
 
 def posture(
@@ -219,7 +180,7 @@ def obstacle(
     `jc.solve` raises it when the disc contains the hand at x0 (under jit: a status). Either needs
     known values.
     """
-    _check_weights(radius=radius, obstacle_weight=obstacle_weight)
+    check_weights(radius=radius, obstacle_weight=obstacle_weight)
     problem = reach(plant, target, duration, **reach_arguments)
     centre = check_array("centre", centre, (2,))
     disc = Obstacle(centre, check_array("radius", radius, ()), obstacle_weight)
@@ -229,7 +190,7 @@ def obstacle(
             f"target: lies inside the obstacle, {float(jnp.linalg.norm(target - centre)):.4g} m "
             f"from its centre; its radius is {float(disc.radius):.4g} m"
         )
-    return _with_cost(problem, disc)
+    return problem + disc
 
 
 def via(
@@ -256,12 +217,17 @@ def via(
 
     Returns: `Problem`. Raises as `reach` does, and ValueError for times outside the movement.
     """
-    _check_weights(via_weight=via_weight)
+    check_weights(via_weight=via_weight)
     problem = reach(plant, target, duration, **reach_arguments)
     m = np.shape(times)[0] if np.ndim(times) == 1 else 1
     times = check_array("times", times, (m,))
     points = check_array("points", points, (m, 2), "one row for each of `times`")
-    return _with_cost(problem, ViaPoints(points, times, via_weight))
+    check_reach(plant, "points", points)
+    if is_concrete(times, problem.dt):
+        known, last = np.asarray(times), problem.num_steps * float(np.asarray(problem.dt))
+        if ((known < 0) | (known > last * (1 + 1e-6))).any():
+            raise ValueError(f"times: between 0 and {last:.6g} s are wanted, got {known}")
+    return problem + ViaPoints(points, times, via_weight)
 
 
 def track(
@@ -283,33 +249,28 @@ def track(
     Arguments:
         plant: any with a hand.
         path: e*, positions [m] evenly spaced in time from 0 to T, shape (m, 2), m >= 2, linear in
-            between; or a function of the time t [s] that returns one, shape (2,), and is sampled
-            at the grid points. Start the hand where the path starts.
+            between; or a function of the time t [s], written in jax.numpy, that returns one, shape
+            (2,), and is sampled at the grid points. Start the hand where the path starts.
         duration: T [s].
         path_weight: w [1/(m^2 s)]; 10 is our choice.
         num_steps, effort, motor_noise: as in `reach`.
 
     Returns: `Problem`. Raises as `reach` does.
     """
-    _check_weights(path_weight=path_weight)
-    num_steps, dt = _grid(duration, num_steps)
+    check_weights(path_weight=path_weight)
+    num_steps, dt = grid(duration, num_steps)
+    plant = check_hand(plant)
     if isinstance(path, Callable):
         position = path  # may return a list of two
         path = jax.vmap(lambda t: jnp.asarray(position(t)))(jnp.arange(num_steps + 1) * dt)
-    m = np.shape(path)[0] if np.ndim(path) == 2 else 2
-    points = check_array("path", path, (max(m, 2), 2), "at least two rows of x and y")
+    shape = np.shape(path)
+    if len(shape) != 2 or shape[0] < 2 or shape[1] != 2:
+        hint = "; transpose it" if len(shape) == 2 and shape[0] == 2 else ""
+        raise ValueError(f"path: got shape {shape}, wanted (m, 2) with m >= 2{hint}")
+    points = check_array("path", path, shape)
+    check_reach(plant, "path", points)
     cost = HandPath(points, duration, path_weight, path_weight * dt)
-    return _problem(_check_hand(plant), cost, duration, num_steps, effort, motor_noise)
-
-
-def _with_cost(problem: Problem, cost: AbstractCost) -> Problem:
-    return Problem(
-        problem.plant,
-        problem.cost + cost,
-        num_steps=problem.num_steps,
-        dt=problem.dt,
-        noise=problem.noise,
-    )
+    return _problem(plant, cost, duration, num_steps, effort, motor_noise)
 
 
 def limit_joints(
@@ -335,7 +296,7 @@ def limit_joints(
     Returns: `Problem`. Raises TypeError for a plant without joints, ValueError for a wrong shape or
     lower > upper.
     """
-    _check_weights(weight=weight)
+    check_weights(weight=weight)
     if not isinstance(problem.plant, AbstractArm):
         raise TypeError(
             f"problem: one of a plant with joints is wanted, got {type(problem.plant).__name__}"
@@ -346,7 +307,7 @@ def limit_joints(
         raise ValueError(f"lower: at most upper is wanted, got {limits[0]} and {limits[1]}")
     # A limit that is never reached stands for none: `solve` refuses what is not finite.
     lower, upper = (jnp.clip(limit, -1e6, 1e6) for limit in limits)
-    return eqx.tree_at(lambda p: p.cost, problem, problem.cost + JointLimits(lower, upper, weight))
+    return problem + JointLimits(lower, upper, weight)
 
 
 def centre_out(
@@ -373,11 +334,12 @@ def centre_out(
     """
     if n < 1:
         raise ValueError(f"n: at least one direction is wanted, got {n}")
-    x0 = check_array("x0", x0, (_check_hand(plant).nx,))
-    num_steps, dt = _grid(duration, reach_arguments.pop("num_steps", None))
+    x0 = check_array("x0", x0, (check_hand(plant).nx,))
+    num_steps, dt = grid(duration, reach_arguments.pop("num_steps", None))
     angles = 2 * jnp.pi * jnp.arange(n) / n
     offsets = radius * jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=1)
     targets = plant.hand(x0) + offsets
+    check_reach(plant, "radius", targets)
 
     def problem(target):
         return reach(plant, target, num_steps * dt, num_steps=num_steps, **reach_arguments)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import xarray
 
-from jaxctrl.analysis._recorded import load_movements
+from jaxctrl.analysis._recorded import load_movements, trials
 
 SPEED = 1.875  # peak speed of a minimum-jerk reach, in distances per duration
 
@@ -271,3 +271,16 @@ def test_the_source_is_not_changed():
     before = source.copy(deep=True)
     load_movements(source)
     xarray.testing.assert_identical(source, before)
+
+
+def test_trials_come_without_what_lies_after_their_end():
+    data = load_movements(reaches.FILE)
+    seen = 0
+    for i, (name, ts, path) in enumerate(trials(data)):
+        assert name == data.trial.values[i] and path.shape == (ts.size, 2)
+        assert np.isfinite(path).all() and abs(ts[-1] - float(data.duration[i])) < 0.011
+        np.testing.assert_array_equal(path, data.hand.values[i, : ts.size])
+        seen += 1
+    assert seen == data.trial.size
+    with pytest.raises(ValueError, match=r"^data: `hand`"):
+        next(trials(xarray.Dataset()))

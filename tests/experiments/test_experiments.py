@@ -10,7 +10,6 @@ import pytest
 from jaxctrl import experiments
 from jaxctrl.experiments._result import Claim, Result
 
-
 # What compiles long and is otherwise like another one.
 SLOW = {"fig-3.8", "fig-3.10", "two-thirds"}
 

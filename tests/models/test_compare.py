@@ -3,6 +3,7 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import matplotlib.figure
 import matplotlib.pyplot as plt
@@ -84,7 +85,8 @@ def test_a_figure_shows_via_points_and_obstacles(arm, x0):
     disc = jc.tasks.Obstacle(jnp.array([-0.2, 0.4]), jnp.asarray(0.02), 1e-12)
     via = jc.tasks.via(arm, TARGET, POINT, [0.2], 0.5, num_steps=20)
     task = jc.Problem(arm, via.cost + disc, num_steps=20, dt=0.025)
-    comparison = jc.compare(MinimumJerk(), task, x0, jc.ILQR())
+    with pytest.warns(UserWarning, match=r"try MinimumJerk\(1e-8\)"):
+        comparison = jc.compare(MinimumJerk(), task, x0, jc.ILQR())
     figure = comparison.figure()
     assert isinstance(figure, matplotlib.figure.Figure)
     plt.close(figure)
@@ -109,8 +111,8 @@ def test_a_solve_that_fails_is_told(comparison):
 @pytest.mark.parametrize(
     ("models", "error", "match"),
     [
-        (MinimumJerk, TypeError, r"^models: .*write MinimumJerk\(\) with parentheses"),
-        ([MinimumJerk], TypeError, r"^models: .*write MinimumJerk\(\) with parentheses"),
+        (MinimumJerk, TypeError, r"^models: .*write MinimumJerk\(\)"),
+        ([MinimumJerk], TypeError, r"^models: .*write MinimumJerk\(\)"),
         ([], ValueError, "^models: at least one"),
         (["minimum jerk"], TypeError, "^models: a model is wanted, got 'minimum jerk'"),
     ],
@@ -130,3 +132,20 @@ def test_what_does_not_fit_a_model_is_refused(arm, x0, task):
         jc.compare(MinimumJerk(), "reach", x0)
     with pytest.raises(ValueError, match=r"^x0: got shape \(6,\)"):
         jc.compare(WeightedSum([MinimumJerk()], [1.0]), task, jnp.zeros(6))
+
+
+def test_a_tracked_path_is_measured_by_the_distance_from_it(arm, x0):
+    path = arm.hand(x0) + jnp.array([[0.0, 0.0], [0.05, 0.0], [0.0, 0.0]])
+    task = jc.tasks.track(arm, path, 0.6, num_steps=30)
+    comparison = jc.compare(MinimumEnergy(), task, x0)
+    wanted = np.stack([np.interp(task.ts, [0, 0.3, 0.6], column) for column in path.T], axis=1)
+    rms = 1e3 * np.sqrt(np.mean(np.sum((comparison.hands[0] - wanted) ** 2, axis=1)))
+    assert f"{rms:.2f}" in str(comparison).splitlines()[2].split()
+
+
+def test_traced_values_are_refused_with_what_to_use_instead(arm, x0):
+    task = jc.tasks.reach(arm, TARGET, 0.5, num_steps=20)
+    with pytest.raises(ValueError, match=r"jc\.solve\(model\.problem\(task\)"):
+        jax.jit(lambda x: jc.compare(MinimumEnergy(), task, x).hands)(x0)
+    with pytest.raises(ValueError, match="known values are wanted"):
+        jax.jit(lambda x: jc.optimise_times(task, jc.DDP(), x, duration=(0.2, 1.0)).value)(x0)

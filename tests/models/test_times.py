@@ -267,7 +267,7 @@ def test_what_has_no_via_points_or_is_no_problem_is_refused(reach, x0):
         jc.optimise_times(reach, TIGHT, x0, passing=True)
     with pytest.raises(TypeError, match=r"^problem: a jc.Problem is wanted"):
         jc.optimise_times("reach", TIGHT, x0, passing=True)
-    with pytest.raises(TypeError, match=r"^solver: .*write ILQR\(\) with parentheses"):
+    with pytest.raises(TypeError, match=r"^solver: .*write DDP\(\) with parentheses"):
         jc.optimise_times(reach, jc.DDP, x0, duration=(0.2, 0.6))
     with pytest.raises(ValueError, match=r"^x0: got shape"):
         jc.optimise_times(reach, TIGHT, x0[:2], duration=(0.2, 0.6))

@@ -92,10 +92,6 @@ WRONG = {
         lambda: plot.speed_and_curvature(TS, ONES((3, 11)), ONES(11)),
         r"curvatures: .*\[\(1, 11\)\], wanted \[\(3, 11\)\], as `speeds`",
     ),
-    "signed curvatures": (
-        lambda: plot.speed_and_curvature(TS, ONES(11), -ONES(11)),
-        r"curvatures: absolute values are wanted, got -1",
-    ),
     "times of the curvatures": (
         lambda: plot.speed_and_curvature(TS[:9], ONES(11), ONES(11)),
         r"ts: shape \(9,\) given, wanted \(11,\), as long as `speeds`",

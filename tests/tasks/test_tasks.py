@@ -200,7 +200,7 @@ def test_changing_a_task_does_not_compile_again(arm, x0):
         (
             lambda arm: jc.tasks.via(arm, TARGET, [[0.1, 0.2]], [0.9]),
             ValueError,
-            "event at 0.9 s lies outside",
+            "^times: between 0 and 0.5 s are wanted",
         ),
         (
             lambda arm: jc.tasks.reach(jc.FunctionPlant(lambda x, u, t: x, nx=2, nu=2), TARGET),
@@ -245,3 +245,38 @@ def test_a_task_with_the_default_duration_may_be_built_under_jit():
     arm = jc.plants.TorqueArm()
     build = jax.jit(lambda target: jc.tasks.reach(arm, target).dt)
     np.testing.assert_allclose(build(jnp.array([-0.1, 0.5])), 0.01)
+
+
+@pytest.mark.parametrize(
+    ("build", "name"),
+    [
+        (lambda arm: jc.tasks.reach(arm, [2.0, 2.0]), "target"),
+        (lambda arm: jc.tasks.via(arm, TARGET, [[20.0, 30.0]], [0.2]), "points"),
+        (lambda arm: jc.tasks.track(arm, [[0.0, 0.5], [0.0, 0.64]], 1.0), "path"),
+        (lambda arm: jc.tasks.centre_out(arm, arm.at_rest(0.8, 0.5), radius=0.3), "radius"),
+        (lambda arm: jc.tasks.reach(jc.plants.InField(arm, jc.plants.Curl()), [0.7, 0]), "target"),
+        (lambda arm: jc.tasks.reach(jc.plants.RateControlled(arm), [0.7, 0.0]), "target"),
+        (lambda arm: jc.tasks.reach(jc.plants.Chain(3), [0.7, 0.0]), "target"),
+    ],
+)
+def test_goals_out_of_reach_are_refused(arm, build, name):
+    with pytest.raises(ValueError, match=rf"^{name}: .* the hand reaches no further than 0.63 m"):
+        build(arm)
+
+
+def test_a_free_hand_reaches_anywhere():
+    assert jc.tasks.reach(jc.plants.FreeHand(), [20.0, 30.0]).plant.nx == 6
+
+
+def test_costs_are_added_to_a_task_and_checked(arm, x0):
+    task = jc.tasks.reach(arm, TARGET, 0.5, num_steps=10)
+    disc = jc.tasks.Obstacle(jnp.array([0.2, 0.2]), 0.02, 1e-9)
+    both, us = task + disc, jnp.zeros((10, 2))
+    xs = both.rollout(x0, us)
+    alone = jc.Problem(arm, disc, num_steps=10, dt=0.05)
+    wanted = task.total_cost(xs, us) + alone.total_cost(xs, us)
+    np.testing.assert_allclose(both.total_cost(xs, us), wanted, rtol=1e-12)
+    with pytest.raises(ValueError, match=r"event at 0\.9 s lies outside"):
+        task + jc.tasks.ViaPoints(jnp.zeros((1, 2)), jnp.array([0.9]))
+    with pytest.raises(TypeError):
+        task + 1.0

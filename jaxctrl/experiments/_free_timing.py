@@ -82,6 +82,11 @@ class OnPath(AbstractHand):
         """Return (f(x, u, t), r), shape (nx + 1,)."""
         return jnp.append(self.body(x[:-1], u[:-1], t), u[-1])
 
+    @property
+    def longest_reach(self) -> Float[Array, ""]:
+        """That of the body [m], shape ()."""
+        return self.body.longest_reach
+
     def hand(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
         """Return the position of the body's hand [m], shape (2,), at a state x (nx,)."""
         return self.body.hand(x[:-1])

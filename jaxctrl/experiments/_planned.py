@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +22,7 @@ from matplotlib.figure import Figure
 from .. import analysis, plot
 from .._problem import Problem
 from ..models import AbstractModel, MinimumEnergy, MinimumTorqueChange, Path, minimum_jerk
+from ..models._compare import hand_motion
 from ..plants import MuscleArm, TorqueArm
 from ..solvers import DDP, ILQR
 from ..solvers._solution import Solution
@@ -97,10 +97,7 @@ def plan(
 
 
 def _first_guesses(arm, movement: Movement, config: Any) -> list[np.ndarray | None]:
-    """Return the controls from which to solve; None for the nominal ones.
-
-    Without bounds a movement has one optimum, and its torques may not be controls.
-    """
+    """Return the controls from which to solve; None for the nominal ones, which do for torques."""
     if isinstance(arm, TorqueArm):
         return [None]
     ts = np.linspace(0, config.duration, config.num_steps + 1)
@@ -128,7 +125,7 @@ def _plan_one(arm, model: AbstractModel, config: Any, movement: Movement, guesse
     sound = [solution for solution in tried if bool(solution.status.ok) and _sound(solution)]
     costs = [float(solution.cost) for solution in sound or tried]
     kept = (sound or tried)[int(np.argmin(costs))]
-    hand, velocity = _motion(problem, kept.xs)
+    hand, velocity = hand_motion(problem, kept.xs)
     return Planned(
         np.asarray(hand),
         np.asarray(velocity),
@@ -145,13 +142,6 @@ def _sound(solution: Solution) -> bool:
     """Tell whether the elbow stays within 0 and pi, to 0.01 rad."""
     elbow = np.asarray(solution.xs[:, 1])
     return bool((elbow > -0.01).all() and (elbow < np.pi + 0.01).all())
-
-
-@eqx.filter_jit
-def _motion(problem: Problem, xs):
-    """Return the hand's positions and velocities, each (T+1, 2)."""
-    plant = problem.plant
-    return jax.vmap(plant.hand)(xs), jax.vmap(plant.hand_velocity)(xs)  # pyright: ignore
 
 
 def dataset(

@@ -11,7 +11,7 @@ from jaxctrl import experiments
 from jaxctrl.experiments._result import Claim, Result
 
 # What compiles long and is otherwise like another one.
-SLOW = {"fig-3.8", "fig-3.10", "two-thirds"}
+SLOW = {"fig-3.6", "fig-3.8", "fig-3.10", "two-thirds"}
 
 
 @pytest.mark.parametrize(

@@ -101,7 +101,9 @@ def _first_guesses(arm, movement: Movement, config: Any) -> list[np.ndarray | No
     if isinstance(arm, TorqueArm):
         return [None]
     ts = np.linspace(0, config.duration, config.num_steps + 1)
-    path = least_jerk(movement, ts).position
+    path = np.asarray(least_jerk(movement, ts).position)
+    far = np.linalg.norm(path, axis=1, keepdims=True) / (0.99 * float(arm.longest_reach))
+    path = path / np.maximum(far, 1.0)  # least jerk knows no arm, and may leave its reach
     follow = track(
         arm, path, config.duration, num_steps=config.num_steps, path_weight=100.0, effort=1e-5
     )

@@ -1,7 +1,13 @@
-"""Bodies to control: pendulum, two-link arms moved by torques or muscles, chains; force fields."""
+"""Bodies to control: pendulum, cart-pole, acrobot, arms of torques or muscles, chains, vehicles.
+
+Arms can be put into force fields (`InField`).
+"""
 
 from .._plant import FunctionPlant
+from ._acrobot import Acrobot
 from ._arm import TorqueArm, TwoLinkArm
+from ._car import Car
+from ._cart_pole import CartPole
 from ._chain import Chain
 from ._field import AbstractField, Channel, ConstantForce, Curl, InField
 from ._free_hand import FreeHand, PolynomialJerk
@@ -16,11 +22,15 @@ from ._muscle import (
 )
 from ._muscle_arm import MUSCLES, MuscleArm
 from ._pendulum import Pendulum
+from ._quadrotor import PlanarQuadrotor
 from ._rate import RateControlled
 
 __all__ = [
     "MUSCLES",
     "AbstractField",
+    "Acrobot",
+    "Car",
+    "CartPole",
     "Chain",
     "Channel",
     "ConstantForce",
@@ -30,6 +40,7 @@ __all__ = [
     "InField",
     "MuscleArm",
     "Pendulum",
+    "PlanarQuadrotor",
     "PolynomialJerk",
     "RateControlled",
     "TorqueArm",

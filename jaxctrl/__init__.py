@@ -1,8 +1,8 @@
 """Differentiable optimal control of biological and robotic movement, in JAX.
 
 A `Problem` (plant, cost, noise, bounds, time grid) goes through a solver and comes out as a
-`Solution`, whose policy `simulate` runs. Submodules: `plants`, `tasks`, `models`, `analysis`,
-`linear`, `plot`.
+`Solution`, whose policy `simulate` runs. Submodules: `plants`, `tasks`, `problems`, `models`,
+`analysis`, `linear`, `plot`.
 """
 
 import importlib
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         models as models,
         plants as plants,
         plot as plot,
+        problems as problems,
         tasks as tasks,
     )
     from ._controller import (
@@ -60,7 +61,11 @@ if TYPE_CHECKING:
     from .solvers import (
         DDP as DDP,
         ILQR as ILQR,
+        LBFGS as LBFGS,
+        AbstractDirectSolver as AbstractDirectSolver,
         AbstractSolver as AbstractSolver,
+        BoundaryValue as BoundaryValue,
+        ConjugateGradient as ConjugateGradient,
         Record as Record,
         Tolerances as Tolerances,
     )
@@ -94,13 +99,23 @@ _WHERE = {
     "_types": ("LocalModel",),
     "models._compare": ("compare",),
     "models._times": ("optimise_times",),
-    "solvers": ("AbstractSolver", "DDP", "ILQR", "Record", "Tolerances"),
+    "solvers": (
+        "AbstractDirectSolver",
+        "AbstractSolver",
+        "BoundaryValue",
+        "ConjugateGradient",
+        "DDP",
+        "ILQR",
+        "LBFGS",
+        "Record",
+        "Tolerances",
+    ),
     "solvers._batch": ("best", "solve_batch"),
     "solvers._check_gradients": ("GradientReport", "GradientRow", "check_gradients"),
     "solvers._solution": ("Solution", "SolveError"),
     "solvers._solve": ("solve",),
 }
-_MODULES = ("analysis", "linear", "models", "plants", "plot", "tasks")
+_MODULES = ("analysis", "linear", "models", "plants", "plot", "problems", "tasks")
 _LAZY = {name: module for module, names in _WHERE.items() for name in names}
 
 __all__ = ["__version__", *sorted(_LAZY), *_MODULES]  # pyright: ignore

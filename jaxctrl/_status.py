@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Int
 
 
 class Reason(enum.IntEnum):
-    """Reasons for which an iteration ends; the first five are successes.
+    """Reasons for which an iteration ends; the first six are successes.
 
     `reason.message` says what each means, and what to do: `for r in jc.Reason: print(r.message)`.
     """
@@ -19,18 +19,23 @@ class Reason(enum.IntEnum):
     CONVERGED_COST = 1
     CONVERGED_STEP = 2
     CONVERGED_ROUND_OFF = 3
-    STATIONARY_START = 4
-    RUNNING = 5
-    MAX_STEPS = 6
-    NEARLY_CONVERGED = 7
-    STALLED = 8
-    LINE_SEARCH_FAILED = 9
-    REGULARISATION_EXHAUSTED = 10
-    NONFINITE_INPUT = 11
-    INFEASIBLE_BOUNDS = 12
-    NONFINITE_DYNAMICS = 13
-    NONFINITE_COST = 14
-    NONFINITE_DERIVATIVE = 15
+    CONVERGED_COLLOCATION = 4
+    STATIONARY_START = 5
+    RUNNING = 6
+    MAX_STEPS = 7
+    NEARLY_CONVERGED = 8
+    STALLED = 9
+    LINE_SEARCH_FAILED = 10
+    REGULARISATION_EXHAUSTED = 11
+    BVP_MAX_NODES = 12
+    BVP_SINGULAR = 13
+    BVP_DIVERGED = 14
+    BVP_NO_MINIMUM = 15
+    NONFINITE_INPUT = 16
+    INFEASIBLE_BOUNDS = 17
+    NONFINITE_DYNAMICS = 18
+    NONFINITE_COST = 19
+    NONFINITE_DERIVATIVE = 20
 
     @property
     def message(self) -> str:
@@ -47,6 +52,9 @@ _MESSAGES = {
     "below their tolerances",
     Reason.CONVERGED_ROUND_OFF: "converged as far as float32 can tell: the expected reduction of "
     "the cost is at round-off, though the projected gradient is above its tolerance",
+    Reason.CONVERGED_COLLOCATION: "converged: the boundary-value problem of the continuous-time "
+    "problem is solved to its tolerance; cost and gradient are those on the grid, whose optimum is "
+    "another",
     Reason.STATIONARY_START: "stationary at the start: no step was needed. Fine for a warm start; "
     "if the start was a guess, it may be a saddle or a maximum: perturb `us` to tell",
     Reason.RUNNING: "still running",
@@ -59,6 +67,14 @@ _MESSAGES = {
     "even with the largest regularisation",
     Reason.REGULARISATION_EXHAUSTED: "failed: the Hessian of the controls is not positive definite "
     "at step {index}, even with the largest regularisation",
+    Reason.BVP_MAX_NODES: "not converged: the mesh of the boundary-value problem reached "
+    "`max_nodes`, or intervals at round-off",
+    Reason.BVP_SINGULAR: "failed: a singular Jacobian in the collocation system of the "
+    "boundary-value problem; start from other controls `us`",
+    Reason.BVP_DIVERGED: "not converged: Newton's method does not solve the collocation system of "
+    "the boundary-value problem; start from other controls `us`",
+    Reason.BVP_NO_MINIMUM: "failed: at step {index} the Hamiltonian has no strict minimum in the "
+    "controls, so that a solution of the boundary-value problem need not be optimal",
     Reason.NONFINITE_INPUT: "failed: x0, us or a parameter of the problem is not finite",
     Reason.INFEASIBLE_BOUNDS: "failed: a lower control bound lies above its upper bound at step "
     "{index}",

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from .._types import LocalModel
+from ._engine import Engine, find_engine
 from ._interior_point import Box, InteriorPoint, advance, barrier, begin, held, select
-from ._riccati import Held, Sweep, costates, held_lqr, last_true, nonfinite
+from ._riccati import Held, Sweep, last_true, nonfinite
 
 
 class _Iterate(NamedTuple):
@@ -30,6 +31,7 @@ def box_lqr(
     *,
     side: Float[Array, "T nu"] | None = None,
     max_sweeps: int = 12,
+    engine: str = "sequential",
 ) -> tuple[Sweep, Float[Array, "T nu"]]:
     """Minimise a local model's cost with all controls du in a box.
 
@@ -50,24 +52,27 @@ def box_lqr(
             0 free, NaN where what the gradient pushes against a bound is to be the guess, which is
             the default everywhere.
         max_sweeps: limit of the iteration over sets.
+        engine: how to sweep, as in `lqr`.
 
     Returns: `Sweep`, whose law keeps du in the box on the model and whose gains are zero for held
     controls, and the held set, as `side`, NaN where the sets cycled. `settled` is False where
     neither method ended.
     """
+    sweeps = find_engine(engine)
     lower, upper = jnp.asarray(lower), jnp.asarray(upper)
     box = Box(model, jnp.broadcast_to(damping, lower.shape), lower, upper)
     given = jnp.full_like(lower, jnp.nan) if side is None else side
     unknown = jnp.isnan(given)
     first = jax.lax.cond(
-        unknown.any(), lambda: jnp.where(unknown, _pushed(box), given), lambda: given
+        unknown.any(), lambda: jnp.where(unknown, _pushed(box, sweeps), given), lambda: given
     )
 
     def unsettled(iterate: _Iterate):
         return ~iterate.settled & iterate.last.ok.all() & (iterate.count < 2 * max_sweeps)
 
     def body(iterate: _Iterate):
-        return _sweep(box, iterate, (iterate.count == max_sweeps) & ~iterate.interior.done)
+        inside = (iterate.count == max_sweeps) & ~iterate.interior.done
+        return _sweep(box, sweeps, iterate, inside)
 
     end = jax.lax.while_loop(unsettled, body, _start(box, first))
     last, point = end.last, end.interior
@@ -93,14 +98,14 @@ def _start(box: Box, side: Array) -> _Iterate:
     return _Iterate(last, side, side, jnp.array(False), jnp.array(0), interior)
 
 
-def _pushed(box: Box) -> Array:
+def _pushed(box: Box, sweeps: Engine) -> Array:
     """Return what the gradient at du = 0 pushes against a bound: -1 lower, 1 upper, 0 neither."""
-    gradient = costates(box.model)[1]
+    gradient = sweeps.costates(box.model)[1]
     at_upper = jnp.where((box.upper <= 0) & (gradient < 0), 1.0, 0.0)
     return jnp.where((box.lower >= 0) & (gradient > 0), -1.0, at_upper).astype(gradient.dtype)
 
 
-def _sweep(box: Box, iterate: _Iterate, inside: Bool[Array, ""]) -> _Iterate:
+def _sweep(box: Box, sweeps: Engine, iterate: _Iterate, inside: Bool[Array, ""]) -> _Iterate:
     """Sweep once: with the proposed set held, or, `inside`, to the interior point's next step."""
     side, none = iterate.following, jnp.zeros_like(iterate.following)
 
@@ -114,7 +119,7 @@ def _sweep(box: Box, iterate: _Iterate, inside: Bool[Array, ""]) -> _Iterate:
         return iterate.interior, none, none, side == 0, value
 
     point, weight, extra, free, value = jax.lax.cond(inside, prepare, propose)
-    step = held_lqr(box.model, free, value, box.damping + weight, extra)
+    step = sweeps.held_lqr(box.model, free, value, box.damping + weight, extra)
 
     def approach():
         further = advance(box, point, step, weight, extra)

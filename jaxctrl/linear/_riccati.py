@@ -90,7 +90,7 @@ def lqr(model: LocalModel, damping: ArrayLike = 0.0) -> Sweep:
         # Columns: V_x; the gradient in the state under the law without k; that without any law.
         ahead, Vxx, linear, change = carry
         fx, fu, lx, lu, lxx, lux, luu, d = stage
-        luu = _add_diagonal(luu, d)
+        luu = add_diagonal(luu, d)
         Qxx, Qux, Quu = _quadratic(Vxx, fx, fu, lxx, lux, luu)
         Qv = lu[:, None] + matmul(fu.T, ahead)
         solved, ok = solve_positive(Quu, jnp.concatenate([Qv[:, :1], Qux], axis=1))
@@ -123,7 +123,7 @@ def nonfinite(model: LocalModel, finite: Bool[Array, " T"]) -> Int[Array, ""]:
     return last_true(~jnp.append(finite, last))
 
 
-def _add_diagonal(A: Array, d: Array) -> Array:
+def add_diagonal(A: Array, d: Array) -> Array:
     index = jnp.arange(d.size)
     return A + jnp.where(index[:, None] == index, d, 0.0)
 
@@ -186,7 +186,7 @@ def held_lqr(
         # Columns: V_x, and the costate.
         ahead, Vxx = carry
         fx, fu, lx, lu, lxx, lux, luu, d, free, held, extra = stage
-        luu = _add_diagonal(luu, d)
+        luu = add_diagonal(luu, d)
         Qxx, Qux, Quu = _quadratic(Vxx, fx, fu, lxx, lux, luu)
         Qv = lu[:, None] + matmul(fu.T, ahead)
         Qu, gradient = Qv[:, 0] + extra, Qv[:, 1]
@@ -257,7 +257,7 @@ def factorise(model: LocalModel, free: Bool[Array, "T nu"], damping: ArrayLike =
 
     def body(Vxx, stage):
         fx, fu, lxx, lux, luu, d, free = stage
-        luu = _add_diagonal(luu, d)
+        luu = add_diagonal(luu, d)
         Qxx, Qux, Quu = _quadratic(Vxx, fx, fu, lxx, lux, luu)
         both = free[:, None] & free[None, :]
         rhs = jnp.where(free[:, None], jnp.concatenate([identity, -Qux], axis=1), 0.0)

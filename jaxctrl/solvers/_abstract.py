@@ -1,4 +1,4 @@
-"""What an iterative solver is; the loop that drives it is `jaxctrl.solve`'s."""
+"""What a solver is: an iteration, whose loop is `jaxctrl.solve`'s, or a single run."""
 
 import abc
 from typing import Any, NamedTuple
@@ -26,6 +26,17 @@ class Record(NamedTuple):
     gradient: Float[Array, ""]
     step: Float[Array, ""]
     lam: Float[Array, ""]
+
+
+class AbstractDirectSolver(eqx.Module):
+    """A solver with a single `run` on the host instead of an iteration that can be traced."""
+
+    @abc.abstractmethod
+    def run(self, problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) -> Any:
+        """Return the `Solution` from x0 (nx,), started from the controls us (T, nu).
+
+        Raises TypeError when an argument is traced.
+        """
 
 
 class AbstractSolver(eqx.Module):

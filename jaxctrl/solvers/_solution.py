@@ -1,6 +1,8 @@
 """What a solve returns."""
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -8,6 +10,13 @@ from .._controller import AffinePolicy
 from .._problem import is_concrete
 from .._status import Status
 from ._abstract import Record
+
+
+def last_finite(xs: Float[Array, "T+1 nx"]) -> Float[Array, "T+1 nx"]:
+    """Hold the last finite state where a trajectory (T+1, nx) is not finite."""
+    finite = jnp.isfinite(xs).all(axis=1)
+    last = jax.lax.cummax(jnp.where(finite, jnp.arange(len(xs)), 0))
+    return xs[last]
 
 
 class SolveError(RuntimeError):
@@ -25,7 +34,7 @@ class Solution(eqx.Module):
         status: why the solver stopped: `status.ok`, `status.message`.
         gradient: projected gradient of the returned iterate, in the solver's relative measure.
         history: cost, projected gradient, accepted fraction and lambda of each iterate, each of
-            shape (max_steps + 1,), padded with NaN.
+            shape (max_steps + 1,), padded with NaN; of a solver without iterates, shape (1,).
         num_steps: number of iterations done.
 
     Printed, it is a small table; under vmap all arrays have a leading batch axis.

@@ -14,14 +14,14 @@ from .._cost import parts, step_costs
 from .._problem import Problem, check_us, check_x0, is_concrete
 from .._status import Reason, Status
 from .._types import promote
-from ._abstract import AbstractSolver
+from ._abstract import AbstractDirectSolver, AbstractSolver
 from ._adjoint import attach
-from ._solution import Solution, SolveError
+from ._solution import Solution, SolveError, last_finite
 
 
 def solve(
     problem: Problem,
-    solver: AbstractSolver,
+    solver: AbstractSolver | AbstractDirectSolver,
     x0: ArrayLike,
     us: ArrayLike | None = None,
     *,
@@ -30,10 +30,10 @@ def solve(
 ) -> Solution:
     """Minimise a problem's cost over the controls, from the state x0.
 
-    Works eagerly and under jit, vmap and grad. Gradients of `cost`, `xs` and `us` with respect to
-    x0 and every number in the problem follow from the implicit function theorem, exact to second
-    order (see `docs/design.md`); they are NaN where the solve did not converge. The gains of the
-    policy are held constant under differentiation.
+    Works eagerly and, but for `BoundaryValue`, under jit, vmap and grad. Gradients of `cost`, `xs`
+    and `us` with respect to x0 and every number in the problem follow from the implicit function
+    theorem, exact to second order (see `docs/design.md`); they are NaN where the solve did not
+    converge. The gains of the policy are held constant under differentiation.
 
     Arguments:
         problem: what to solve. All its arrays, x0 and us are promoted to one floating dtype, the
@@ -41,7 +41,7 @@ def solve(
         solver: how, such as `jc.ILQR()`.
         x0: starting state, shape (nx,).
         us: starting controls, shape (T, nu); the plant's nominal control by default.
-        max_steps: limit of the iterations; static.
+        max_steps: limit of the iterations; static. `BoundaryValue` has limits of its own.
         throw: raise `SolveError` when the solve does not converge, instead of a status.
 
     Returns: `Solution`; look at `solution.status.ok` before using it.
@@ -52,7 +52,7 @@ def solve(
     """
     if not isinstance(problem, Problem):
         raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
-    if not isinstance(solver, AbstractSolver):
+    if not isinstance(solver, AbstractSolver | AbstractDirectSolver):
         hint = f"; write {solver.__name__}() with parentheses" if isinstance(solver, type) else ""
         raise TypeError(f"solver: a solver is wanted, got {solver!r}{hint}")
     if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 0:
@@ -85,7 +85,7 @@ def parts_name(path) -> str:
     return jax.tree_util.keystr(path).replace("['", "").replace("']", "")
 
 
-def _warn(problem: Problem, solver: AbstractSolver, dtype) -> None:
+def _warn(problem: Problem, solver: AbstractSolver | AbstractDirectSolver, dtype) -> None:
     if problem.noise is not None:
         warnings.warn(
             f"{type(solver).__name__} minimises the nominal cost: it ignores the problem's noise, "
@@ -156,16 +156,25 @@ def _advice(error: Exception) -> str:
     )
 
 
-@eqx.filter_jit
-def run(problem: Problem, solver: AbstractSolver, x0, us, max_steps: int) -> Solution:
+def run(
+    problem: Problem, solver: AbstractSolver | AbstractDirectSolver, x0, us, max_steps: int
+) -> Solution:
     """Solve a problem whose arguments have been checked."""
+    if isinstance(solver, AbstractDirectSolver):
+        _check_functions(problem, x0, us)
+        return solver.run(problem, x0, us)
+    return _run_iteration(problem, solver, x0, us, max_steps)
+
+
+@eqx.filter_jit
+def _run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: int) -> Solution:
     _check_functions(problem, x0, us)
     frozen, x0_frozen, us = jax.lax.stop_gradient((problem, x0, us))
     state, history, count = _iterate(frozen, solver, x0_frozen, us, max_steps)
     status = _final_status(solver, state)
     failed = status.code >= int(Reason.NONFINITE_INPUT)
     found = solver.policy(frozen, state)
-    xs = jnp.where(failed, _last_finite(found.xs), found.xs)
+    xs = jnp.where(failed, last_finite(found.xs), found.xs)
     record = solver.record(state)
     xs, us, cost = attach((xs, found.us, record.cost), problem, x0, status.ok)
     return Solution(
@@ -209,13 +218,6 @@ def _final_status(solver, state) -> Status:
         solver.near(state), Status.of(Reason.NEARLY_CONVERGED), Status.of(Reason.MAX_STEPS)
     )
     return _status.where(status.is_(Reason.RUNNING), limit, status)
-
-
-def _last_finite(xs: Array) -> Array:
-    """Hold the last finite state where a trajectory (T+1, nx) is not finite."""
-    finite = jnp.isfinite(xs).all(axis=1)
-    last = jax.lax.cummax(jnp.where(finite, jnp.arange(len(xs)), 0))
-    return xs[last]
 
 
 def _throw(solution: Solution) -> Solution:

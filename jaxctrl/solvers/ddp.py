@@ -23,10 +23,13 @@ class DDP(AbstractShooting):
     those of `ILQR`, and noise is ignored.
 
     Arguments:
-        gradient_tolerance, cost_tolerance, step_tolerance: as in `ILQR`.
+        gradient_tolerance, cost_tolerance, step_tolerance, sweep: as in `ILQR`.
+
+    Raises: ValueError for an unknown `sweep`.
     """
 
     second_order: ClassVar[bool] = True
     gradient_tolerance: float | None = eqx.field(static=True, default=None)
     cost_tolerance: float | None = eqx.field(static=True, default=None)
     step_tolerance: float | None = eqx.field(static=True, default=None)
+    sweep: str = eqx.field(static=True, default="sequential")

@@ -24,9 +24,16 @@ class ILQR(AbstractShooting):
             scale with the dtype's eps. An iterate has converged when its projected gradient is
             within the first tolerance and the expected reduction of the cost, or the step, is
             within its own.
+        sweep: "sequential", or "parallel" in time: the same steps to round-off, from
+            linear-quadratic problems solved in a depth of operations that grows as log T (Sarkka &
+            Garcia-Fernandez 2023). It is meant for accelerators and long horizons; on a CPU it is
+            slower. Roll-outs on the true dynamics stay sequential.
+
+    Raises: ValueError for an unknown `sweep`.
     """
 
     second_order: ClassVar[bool] = False
     gradient_tolerance: float | None = eqx.field(static=True, default=None)
     cost_tolerance: float | None = eqx.field(static=True, default=None)
     step_tolerance: float | None = eqx.field(static=True, default=None)
+    sweep: str = eqx.field(static=True, default="sequential")

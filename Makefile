@@ -28,7 +28,7 @@ test-all: lint
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal
 
 bench: .venv/installed
-	$(BIN)/python benchmarks/solvers.py
+	$(BIN)/jaxctrl bench
 
 clean:
 	rm -rf .venv .cache results build dist

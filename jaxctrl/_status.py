@@ -64,7 +64,7 @@ _MESSAGES = {
     Reason.STALLED: "not converged: the expected reduction of the cost is at round-off, but the "
     "projected gradient is above its tolerance; scale the problem, or use float64",
     Reason.LINE_SEARCH_FAILED: "not converged: no step along the search direction lowers the cost, "
-    "even with the largest regularisation",
+    "even with the largest regularisation or down the gradient",
     Reason.REGULARISATION_EXHAUSTED: "failed: the Hessian of the controls is not positive definite "
     "at step {index}, even with the largest regularisation",
     Reason.BVP_MAX_NODES: "not converged: the mesh of the boundary-value problem reached "

@@ -1,10 +1,10 @@
-"""The command line: list the experiments, run them, show what came out.
+"""The command line: list the experiments, run them, show what came out, and time the solvers.
 
 JAX and its friends are imported by the commands that need them, so that `--help`, `--version` and
 `list` answer at once.
 
-Exit codes: 0 all is well; 1 an experiment failed or a result cannot be trusted; 2 wrong usage, or a
-results folder that cannot be used; 130 interrupted.
+Exit codes: 0 all is well; 1 an experiment failed, a result cannot be trusted or something is
+slower than it was; 2 wrong usage, or a folder or file that cannot be used; 130 interrupted.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from . import experiments
+from . import bench as benchmarks, experiments
 from ._cpu import enable_fast_cpu
 from ._version import __version__
 
@@ -38,8 +38,8 @@ _TYPES: dict[type, click.ParamType] = {
 }
 
 
-class _UnusableFolder(click.ClickException):
-    """Refuse a results folder before anything is computed."""
+class _Unusable(click.ClickException):
+    """Refuse a folder or a file before anything is computed."""
 
     exit_code = 2
 
@@ -135,7 +135,7 @@ def run(names: tuple[str, ...], quick: bool, out: Path, pairs: tuple[str, ...], 
                 report=lambda text, nl=True: say(text, err=True, nl=nl),
             )
         except _store.StoreError as error:
-            raise _UnusableFolder(str(error)) from error
+            raise _Unusable(str(error)) from error
         say(_scoreboard(outcomes))
         return _runner.exit_code(outcomes)
 
@@ -175,6 +175,41 @@ def show(name: str, out: Path) -> None:
         for key, variable in found.data().variables.items()
     ]
     say(_table([("name", "shape", "units", "meaning"), *rows]))
+
+
+@jaxctrl.command()
+@click.argument("suites", metavar="[SUITE]...", nargs=-1)
+@click.option("--quick", is_flag=True, help="Small settings: less than a minute for each suite.")
+@click.option("--peers", is_flag=True, help="Time other programs too, also in `problems`.")
+@click.option("--save", metavar="FILE", type=click.Path(path_type=Path), help="Save all figures.")
+@click.option(
+    "--against", metavar="FILE", type=click.Path(path_type=Path), help="Compare with a saved run."
+)
+def bench(
+    suites: tuple[str, ...], quick: bool, peers: bool, save: Path | None, against: Path | None
+) -> int:
+    """Time the solvers: suites thesis, peers, scaling, problems, or all of them.
+
+    With --against, exits with 1 when something is slower than in the saved run.
+    """
+    for name in suites:
+        _check_word("suite", name, benchmarks.SUITES)
+    from .bench import _files, _run
+
+    chosen = [name for name in benchmarks.SUITES if name in suites or not suites]
+    with _terminable():
+        try:
+            return _run.run(
+                chosen,
+                quick=quick,
+                peers=peers,
+                save=save,
+                against=against,
+                report=lambda text: say(text, err=True),
+                show=say,
+            )
+        except _files.FileError as error:
+            raise _Unusable(str(error)) from error
 
 
 @contextlib.contextmanager

@@ -35,6 +35,18 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.fig_4_2",
         "Joint paths of the muscle arm over the iterations of ILQR",
     ),
+    "fig-4.3": (
+        "jaxctrl.experiments.fig_4_3",
+        "Cost against time for ILQR, DDP and gradient methods on the muscle arm",
+    ),
+    "fig-4.4": (
+        "jaxctrl.experiments.fig_4_4",
+        "Both arms from 100 random controls: how many find the best optimum",
+    ),
+    "table-4.1": (
+        "jaxctrl.experiments.table_4_1",
+        "Time and iterations of ILQR, DDP, gradient methods and collocation on three problems",
+    ),
     "centre-out": (
         "jaxctrl.experiments.centre_out",
         "10 cm reaches in 8 directions with both arms",

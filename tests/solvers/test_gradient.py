@@ -215,18 +215,19 @@ def test_success_means_the_same_as_that_of_ilqr(solver):
 @each(SOLVERS[1])
 def test_units_of_cost_and_controls_do_not_matter(solver):
     plain = jc.solve(pair(), solver, X4)
-    scaled = pair()
+    # Powers of two: a quadratic is interpolated by cubics, whose rounding is amplified.
+    c = 2.0**20
     scaled = jc.Problem(
         jc.FunctionPlant(
-            lambda x, u, t: pair().plant(x, u * jnp.array([1.0, 1e4]), t), nx=4, nu=2
+            lambda x, u, t: pair().plant(x, u * jnp.array([1.0, 2.0**13]), t), nx=4, nu=2
         ),
-        jc.QuadraticCost(Q=1e6, R=jnp.array([1e5, 1e7]), Qf=1e7),
+        jc.QuadraticCost(Q=c, R=c * jnp.array([0.1, 1e-7 * 2.0**26]), Qf=10 * c),
         num_steps=20, dt=0.1,
     )  # fmt: skip
     other = jc.solve(scaled, solver, X4)
     assert plain.status.ok and other.status.ok
-    np.testing.assert_allclose(other.history.cost[:6], 1e6 * plain.history.cost[:6], rtol=1e-6)
-    np.testing.assert_allclose(other.cost, 1e6 * plain.cost, rtol=1e-8)
+    np.testing.assert_allclose(other.history.cost[:6], c * plain.history.cost[:6], rtol=1e-9)
+    np.testing.assert_allclose(other.cost, c * plain.cost, rtol=1e-8)
 
 
 @each(SOLVERS[1])

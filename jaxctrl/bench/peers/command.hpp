@@ -1,7 +1,7 @@
 // The command line that all peers share: PROBLEM US_FILE OUT_FILE REPEATS TH_STOP MAXITER.
 //
 // US_FILE and OUT_FILE hold controls (B, steps, nu) as raw float64. One line of JSON is printed;
-// its seconds are the median, over the repeats, of one pass over all B starts.
+// its seconds are those of each repeat, a pass over all B starts.
 
 #pragma once
 
@@ -60,17 +60,14 @@ struct Command {
       const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - begin;
       seconds.push_back(taken.count());
     }
-    std::sort(seconds.begin(), seconds.end());
-    const std::size_t n = seconds.size();
     std::ofstream file(out_file, std::ios::binary);
     file.write(reinterpret_cast<const char*>(us.data()), us.size() * sizeof(double));
-    std::printf("{\"problem\": \"%s\", \"solver\": \"%s\", \"seconds\": %.6e", problem.c_str(),
-                solver, 0.5 * (seconds[n / 2] + seconds[(n - 1) / 2]));
-    const auto list = [&](const char* name, auto&& print) {
+    std::printf("{\"problem\": \"%s\", \"solver\": \"%s\"", problem.c_str(), solver);
+    const auto list = [](const char* name, const auto& values, auto&& print) {
       std::printf(", \"%s\": [", name);
-      for (std::size_t i = 0; i < outcomes.size(); ++i) {
+      for (std::size_t i = 0; i < values.size(); ++i) {
         if (i > 0) std::printf(", ");
-        print(outcomes[i]);
+        print(values[i]);
       }
       std::printf("]");
     };
@@ -79,9 +76,10 @@ struct Command {
       if (std::isfinite(v)) std::printf("%.16e", v);
       else std::printf("null");
     };
-    list("iterations", [](const Outcome& o) { std::printf("%d", o.iterations); });
-    list("cost", [&](const Outcome& o) { number(o.cost); });
-    list("stop", [&](const Outcome& o) { number(o.stop); });
+    list("seconds", seconds, [](double s) { std::printf("%.6e", s); });
+    list("iterations", outcomes, [](const Outcome& o) { std::printf("%d", o.iterations); });
+    list("cost", outcomes, [&](const Outcome& o) { number(o.cost); });
+    list("stop", outcomes, [&](const Outcome& o) { number(o.stop); });
     std::printf("}\n");
   }
 };

@@ -16,7 +16,10 @@ solvers see the same twice differentiable function.
 import jax.numpy as jnp
 import numpy as np
 
-import jaxctrl as jc
+from .._cost import QuadraticCost
+from .._plant import FunctionPlant
+from .._problem import Problem
+from ..linear import solve_positive
 
 MUSCLES = ("SF", "SX", "EF", "EX", "BF", "BX")
 ARMS = np.array([[4, -4, 0, 0, 2.8, -3.5], [0, 0, 2.5, -2.5, 2.8, -3]]) * 1e-2
@@ -70,7 +73,7 @@ def muscle_arm(xp, x, u):
     l = 1 + 0.25 * xp.tanh((raw - 1) / 0.25)
     v = -(ARMS[0] * dq[0] + ARMS[1] * dq[1]) / OPTIMAL_LENGTH
     force = PEAK_FORCE * tension(xp, a, l, v)
-    torque = ((ARMS[0] * force).sum(), (ARMS[1] * force).sum())
+    torque = (xp.sum(ARMS[0] * force), xp.sum(ARMS[1] * force))
     time = xp.where(u > a, 0.066 - 0.016 * u, 0.066)
     return xp.concatenate([dq, xp.stack([*accelerations(xp, q, dq, torque)]), (u - a) / time])
 
@@ -95,7 +98,7 @@ def chain(n):
         M = heavier * xp.cos(difference)
         if xp is np:
             return np.concatenate([w, np.linalg.solve(M, net)])
-        return jnp.concatenate([w, jc.linear.solve_positive(M, net[:, None])[0][:, 0]])
+        return jnp.concatenate([w, solve_positive(M, net[:, None])[0][:, 0]])
 
     return dynamics
 
@@ -110,13 +113,13 @@ class Case:
         self.bounds, self.best = bounds, best
 
     def problem(self):
-        """Return it as a `jaxctrl.Problem`."""
-        plant = jc.FunctionPlant(
+        """Return it as a `Problem`."""
+        plant = FunctionPlant(
             lambda x, u, t: self.dynamics(jnp, x, u), nx=self.nx, nu=self.nu,
             control_bounds=self.bounds,
         )  # fmt: skip
-        cost = jc.QuadraticCost(R=self.r, Qf=self.w, target=self.target)
-        return jc.Problem(plant, cost, num_steps=self.T, dt=self.dt)
+        cost = QuadraticCost(R=self.r, Qf=self.w, target=self.target)
+        return Problem(plant, cost, num_steps=self.T, dt=self.dt)
 
     def cost(self, us):
         """Return the cost of controls (T, nu) from a plain NumPy roll-out: the one judge of all."""

@@ -1,9 +1,11 @@
-"""Put the figures of a run into tables, and beside the bars that they are held to."""
+"""Put the figures of the suite `peers` beside the best costs and the bars they are held to."""
 
 import math
 import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
+
+from ._build import LABELS
 
 Record = dict[str, Any]
 OURS = ("ILQR", "DDP")
@@ -16,31 +18,16 @@ RESTARTS = {"P1": ("one solve", 60.0), "P3": ("one solve", 60.0), "P2": ("Crocod
 SUCCESS = {"P1": 0.94, "P2": 0.98, "P3": 0.99, "P3h": 0.98}
 FIRST = {"P1": 1.0, "P2": 1.0, "P3": 2.5}
 GRADIENTS = {"cost": 1.0, "trajectory": 3.0}
-HEADS = {
-    "single": (
-        "problem", "solver", "flags", "inside ms", "min", "eager ms", "first s", "iter.",
-        "ms/iter.", "cost", "/ best", "over limit", "g", "status",
-    ),
-    "restarts": (
-        "problem", "solver", "flags", "dev.", "total ms", "/ one", "success", "by cost",
-        "iter. med", "max", "first s",
-    ),
-    "gradients": (
-        "problem", "solver", "flags", "iteration ms", "cost ms", "/ iter.", "traject. ms",
-        "/ iter.", "handing ms", "finite",
-    ),
-    "bars": ("what", "problem", "by", "figure", "bar", ""),
-}  # fmt: skip
 
 
-def best_costs(records: Iterable[Record], known: dict[str, float | None]) -> dict[str, float]:
+def best_costs(records: Iterable[Record]) -> dict[str, float]:
     """Return each problem's best cost: the best known or, if lower, anybody's in this run."""
-    best = {name: math.inf if cost is None else cost for name, cost in known.items()}
+    best: dict[str, float] = {}
     for record in records:
-        costs = [*record.get("costs", ()), record.get("cost"), record.get("limit")]
         if record["section"] in ("single", "restarts"):
+            costs = [*record.get("costs", ()), *(record.get(k) for k in ("cost", "limit", "best"))]
             finite = [cost for cost in costs if cost is not None and math.isfinite(cost)]
-            best[record["problem"]] = min([best[record["problem"]], *finite])
+            best[record["problem"]] = min([best.get(record["problem"], math.inf), *finite])
     return best
 
 
@@ -48,13 +35,24 @@ def add_success(records: Iterable[Record], best: dict[str, float]) -> None:
     """Compare costs with the best: ratios of single solves, successes of restarts."""
     for record in records:
         if record["section"] == "single":
-            record["ratio"] = record["cost"] / best[record["problem"]]
+            # A null was no finite number.
+            cost = math.inf if record["cost"] is None else record["cost"]
+            record["ratio"] = cost / best[record["problem"]]
         elif record["section"] == "restarts":
-            near = [cost <= NEAR * best[record["problem"]] for cost in record["costs"]]
+            near = [
+                cost is not None and cost <= NEAR * best[record["problem"]]
+                for cost in record["costs"]
+            ]
             both = [a and b for a, b in zip(near, record["ok"], strict=True)]
             record["by_cost"], record["success"] = statistics.mean(near), statistics.mean(both)
+            record.setdefault("total_ms", record.get("timing", {}).get("ms"))
             record["iterations_median"] = statistics.median(record["iterations"])
             record["iterations_max"] = max(record["iterations"])
+
+
+def ms(record: Record) -> float:
+    """Return a single solve's median processor time [ms], the wall time of a quiet machine."""
+    return record["timing"]["cpu_ms"]
 
 
 class Figures:
@@ -79,7 +77,7 @@ class Figures:
     def fastest(self, mode: str, problem: str) -> Record | None:
         """Return our faster single solve, among those that converged to the best cost."""
         fine = [r for r in self.ours("single", mode, problem) if r["ok"] and r["ratio"] <= NEAR]
-        return min(fine, key=lambda r: r["inside_ms"], default=None)
+        return min(fine, key=ms, default=None)
 
     def restarted(self, problem: str) -> Record | None:
         """Return our restarts: the faster solver of those successful enough, or the surest."""
@@ -119,14 +117,14 @@ def bars(figures: Figures, names: Sequence[str], restarts: int) -> Iterator[Reco
         return None if record is None or other is None else record[key] / other[other_key]
 
     singles = (
-        ("one solve, fast / Crocoddyl", "fast", "Crocoddyl", CROCODDYL),
-        ("one solve, fast / floor", "fast", "floor", FLOOR),
-        ("one solve, default / Crocoddyl", "default", "Crocoddyl", DEFAULT),
+        ("one solve, fast / Crocoddyl", "fast", LABELS["crocoddyl_peer"], CROCODDYL),
+        ("one solve, fast / floor", "fast", LABELS["floor_peer"], FLOOR),
+        ("one solve, default / Crocoddyl", "default", LABELS["crocoddyl_peer"], DEFAULT),
     )
     for what, mode, peer, limits in singles:
         for name in filter(limits.get, names):
             record, other = figures.fastest(mode, name), figures.get("single", "peer", name, peer)
-            value = ratio(record, "inside_ms", other, "inside_ms")
+            value = None if record is None or other is None else ms(record) / ms(other)
             held = row(what, name, record, value, limits[name])
             # Figures there are, but none of a solve that converged to the best cost.
             failed = record is None and figures.ours("single", mode, name)
@@ -151,72 +149,3 @@ def bars(figures: Figures, names: Sequence[str], restarts: int) -> Iterator[Reco
                 for of, bar in GRADIENTS.items():
                     what = f"gradient of {of}, {mode} [iterations]"
                     yield row(what, name, record, record[of], bar)
-
-
-def table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Lay out a table, words to the left and numbers to the right."""
-    rows = [heads, *rows]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(heads))]
-    words = [i for i, head in enumerate(heads) if head in ("problem", "solver", "what", "by", "")]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if i in words else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
-    return "\n".join([title, "-" * len(lines[0]), *lines, ""])
-
-
-def text(value: Any, form: str = "") -> str:
-    """Write a figure, or a dash where there is none."""
-    return "-" if value is None else format(value, form)
-
-
-def cells(record: Record) -> list[str]:
-    """Write one record as a row of its section's table."""
-    get = record.get
-    row = [record["problem"], record["solver"], record["mode"]]
-    if record["section"] == "single":
-        each = get("inside_ms") / get("iterations") if get("iterations") else None
-        row += [text(get(k), ".3f") for k in ("inside_ms", "inside_min_ms", "eager_ms")]
-        row += [text(get("first_s"), ".2f"), text(get("iterations")), text(each, ".4f")]
-        row += [text(get("cost"), ".7e"), text(get("ratio"), ".7f"), text(get("gap"), ".1e")]
-        return [*row, text(get("g"), "g"), text(get("status"))]
-    if record["section"] == "restarts":
-        row += [text(get("devices")), text(get("total_ms"), ".1f"), text(get("of_one"), ".1f")]
-        row += [text(get("success"), ".2f"), text(get("by_cost"), ".2f")]
-        row += [text(get("iterations_median"), "g"), text(get("iterations_max"))]
-        return [*row, text(get("first_s"), ".2f")]
-    row += [text(get(k), ".4f") for k in ("iteration_ms", "cost_ms")]
-    row += [text(get("cost"), ".2f"), text(get("trajectory_ms"), ".4f")]
-    row += [text(get("trajectory"), ".2f"), text(get("handing_ms"), ".4f")]
-    return [*row, "yes" if get("finite") else "NO"]
-
-
-def tables(records: Sequence[Record], held: Sequence[Record], missing: dict[str, str]) -> str:
-    """Return all tables as one text."""
-    titles = {
-        "single": "One solve, on one core (medians; `inside` is one jitted call; first calls have "
-        "all cores)",
-        "restarts": "Restarts (jaxctrl: 2 devices, all cores; Crocoddyl: 1 thread)",
-        "gradients": "Gradients beyond the forward solve, in iterations of ILQR (`handing`: "
-        "what JAX takes to return so many arrays, contained in both)",
-    }
-    parts = []
-    for section, title in titles.items():
-        rows = sorted(
-            (r for r in records if r["section"] == section),
-            key=lambda r: (r["problem"], r["solver"] not in OURS),
-        )
-        if rows:
-            parts.append(table(title, HEADS[section], map(cells, rows)))
-    rows = []
-    for bar in held:
-        sign = ">=" if bar["least"] else "<="
-        shown = [text(bar["figure"], ".3g"), f"{sign} {bar['bar']:g}", bar["verdict"]]
-        rows.append([bar["what"], bar["problem"], bar["by"], *shown])
-    if rows:
-        parts.append(table("Bars", HEADS["bars"], rows))
-    parts += [f"not here: {name}: {reason}" for name, reason in missing.items()]
-    return "\n".join(parts)

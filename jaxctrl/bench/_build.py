@@ -15,8 +15,9 @@ import sysconfig
 from collections.abc import Iterable
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-PEERS = ("floor_peer", "crocoddyl_peer")
+HERE = Path(__file__).resolve().parent / "peers"
+LABELS = {"floor_peer": "floor (C++)", "crocoddyl_peer": "Crocoddyl (compiled, C++ models)"}
+PEERS = tuple(LABELS)
 # Any warning here is one of Eigen's or GCC's own headers, and there are thousands of lines of them.
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-w")
 # With these the cost from each problem's own start ends within 1e-6, relatively, of the cost with a
@@ -39,7 +40,7 @@ def find_compiler() -> str:
     for name in (os.environ.get("CXX"), "g++", "clang++", "c++"):
         if name and (path := shutil.which(name)):
             return path
-    raise Missing("no C++ compiler")
+    raise Missing("no C++ compiler (such as g++)")
 
 
 def find_eigen(prefixes: Iterable[Path]) -> Path:
@@ -111,13 +112,3 @@ def build(
         except Missing as reason:
             reasons[name] = str(reason)
     return built, reasons
-
-
-if __name__ == "__main__":
-    if len(sys.argv) < 2:
-        sys.exit("usage: build.py FOLDER [CROCODDYL_PREFIX]")
-    found, left_out = build(*sys.argv[1:3], names=(*PEERS, "selftest"))
-    for program, path in found.items():
-        print(f"{program}: {path}")
-    for program, reason in left_out.items():
-        print(f"{program}: left out, {reason}")

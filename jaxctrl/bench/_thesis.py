@@ -1,0 +1,47 @@
+"""The suite `thesis`: table 4.1, by the experiment that reproduces it."""
+
+from typing import Any
+
+import numpy as np
+
+from .. import experiments
+from ._stopwatch import Taken, timing
+from ._worker import Emitter
+
+TABLE = "table-4.1"
+
+
+def run(orders: dict[str, Any], emit: Emitter) -> None:
+    """Carry out the orders."""
+    try:
+        table = experiments.load(TABLE)
+        result = table.run(table.Config.quick() if orders["quick"] else table.Config())
+        claims = table.claims(result)
+    except Exception as error:
+        emit.failure(TABLE, error)
+        return
+    data = result.data
+    for problem in data["problem"].values:
+        for method in data["solver"].values:
+            cell = data.sel({"problem": problem, "solver": method})
+            near = [i for i, s in enumerate(cell.seconds.values) if np.isfinite(s)]
+            figures: dict[str, Any] = {"note": "never near the best cost"}
+            if near:  # the nearest that it came
+                i = near[-1]
+                middle, half = float(cell.seconds[i]), float(cell.spread[i])
+                taken = timing([[Taken(t, t) for t in (middle - half, middle, middle + half)]], [])
+                figures = {"timing": taken, "iterations": float(cell.iterations[i])}
+                figures["note"] = f"within {float(data['near'][i]):g} of the best cost"
+            emit(
+                "single", problem=str(problem), solver=str(method), cost=float(cell.cost),
+                optimum=float(cell.best), first_s=float(cell["first"]),
+                status=str(cell.status.values), **figures,
+            )  # fmt: skip
+    emit("table", problem=TABLE, rows=[list(row) for row in table.table(result)])
+    if result.failure:
+        emit.failure(TABLE, RuntimeError(result.failure))
+    for claim in claims:
+        emit(
+            "claim", problem=TABLE, statement=claim.statement, expected=claim.expected,
+            measured=claim.measured, holds=claim.holds,
+        )  # fmt: skip

@@ -1,0 +1,163 @@
+"""Figure 4.3 of Li (2006): the cost of the muscle arm against computing time, for three methods.
+
+A: from one start, the nominal control; B: from 8 random controls, smooth in time, U[0, 0.3] at
+each. The thesis's caption says iterations and its axes CPU time; drawn is the time. It does not
+state its 8 initial conditions: here they are initial controls. Times are warm medians, each from
+the start to an iterate inside one compiled loop.
+"""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+import xarray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .. import plot
+from ..solvers import DDP, ILQR, ConjugateGradient
+from ..solvers._batch import solve_batch
+from ._chapter_4 import Case, arm_case, random_controls, times_to
+from ._result import Claim, Result
+
+METHODS = {"ILQR": ILQR, "DDP": DDP, "CG": ConjugateGradient}
+AMPLITUDE = 0.3
+SOON = 2.0
+"""Curves are compared where ILQR is within this factor of the best cost."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings: time steps, number of random starts, iterations, points of each curve at most,
+    repetitions of each timing, and seed."""
+
+    num_steps: int = 100
+    starts: int = 8
+    max_steps: int = 500
+    points: int = 16
+    repeats: int = 5
+    seed: int = 0
+
+    @classmethod
+    def quick(cls) -> "Config":
+        """Return settings with few starts, a coarse time step and little patience."""
+        return cls(num_steps=25, starts=2, max_steps=100, points=8, repeats=3)
+
+
+def run(config: Config) -> Result:
+    """Trace cost and time of every method; arrays lead with method, start (0 nominal), point."""
+    case = arm_case("muscle", config.num_steps)
+    random = random_controls(case, config.starts, AMPLITUDE, config.seed)
+    uss = jnp.asarray(np.concatenate([np.asarray(case.problem.nominal_controls)[None], random]))
+    curves = np.stack([_curves(case, method, uss, config) for method in METHODS.values()])
+    missing = {"missing": "NaN after the last point of a curve"}
+    dims = ("solver", "start", "point")
+    data = xarray.Dataset(
+        {
+            "seconds": (dims, curves[..., 0], _is("warm time from the start", "s") | missing),
+            "cost": (dims, curves[..., 1], _is("cost of the iterate", "1") | missing),
+            "iterate": (dims, curves[..., 2], _is("number of the iterate", "1") | missing),
+        },
+        coords={
+            "solver": ("solver", list(METHODS), {"long_name": "solver"}),
+            "start": ("start", np.arange(len(uss)), _is("start, 0 the nominal control", "1")),
+        },
+    )
+    return Result(data, config)
+
+
+def _is(name: str, units: str) -> dict[str, str]:
+    return {"long_name": name, "units": units}
+
+
+def _curves(case: Case, method, uss, config: Config) -> np.ndarray:
+    """Return time, cost and number of some iterates from each start, (start, point, 3)."""
+    solver = method()
+    found = solve_batch(case.problem, solver, case.x0, uss, max_steps=config.max_steps)
+    curves = np.full((len(uss), config.points, 3), np.nan)
+    for lane, us in enumerate(uss):
+        count = int(found.num_steps[lane])
+        spaced = np.geomspace(1, max(count, 1), config.points - 1).round()
+        iterates = np.unique(np.concatenate([[0.0], spaced]))
+        taken = np.median(times_to(case, solver, us, iterates.tolist(), config.repeats), axis=0)
+        cost = np.asarray(found.history.cost[lane])[iterates.astype(int)]
+        curves[lane, : iterates.size] = np.stack([taken, cost, iterates], axis=1)
+    return curves
+
+
+def figure(result: Result) -> Figure:
+    """Draw cost against time, from the nominal control and from the random ones."""
+    data = result.data
+    fig, axes = plot.panels(1, 2, size=(7.2, 3.0))
+    titles = ("A  nominal start", f"B  {data.sizes['start'] - 1} random starts")
+    for ax, lanes, title in zip(axes[0], (slice(1), slice(1, None)), titles, strict=True):
+        with plot.style():
+            _draw(ax, data.isel(start=lanes))
+            ax.set_title(title, loc="left")
+    with plot.style():
+        axes[0, 0].set_ylabel("cost [1]")
+        axes[0, 1].legend()
+    return fig
+
+
+def _draw(ax: Axes, data: xarray.Dataset) -> None:
+    for i, method in enumerate(data.solver.values):
+        one = data.sel(solver=method)
+        for lane in range(one.sizes["start"]):
+            ax.loglog(
+                1e3 * one.seconds.values[lane], one.cost.values[lane], color=f"C{i}",
+                linestyle=("-", "--", "-.")[i], linewidth=1.2 if one.sizes["start"] < 2 else 0.8,
+                label=method if lane == 0 else None,
+            )  # fmt: skip
+    ax.set_xlabel("time [ms]")
+
+
+def _at(one: xarray.Dataset, seconds: float) -> float:
+    """Return the lowest cost that a curve has reached by a time."""
+    return float(np.nanmin(np.where(one.seconds.values <= seconds, one.cost.values, np.inf)))
+
+
+def claims(result: Result) -> list[Claim]:
+    """Compare with what the thesis says of its figure 4.3."""
+    data = result.data
+    best = float(np.nanmin(data.cost.values))
+    groups = (("the nominal start", slice(1)), ("random starts", slice(1, None)))
+    return [
+        _below(data.isel(start=lanes), rival, where, best)
+        for where, lanes in groups
+        for rival in ("DDP", "CG")
+    ]
+
+
+def _below(lanes: xarray.Dataset, rival: str, where: str, best: float) -> Claim:
+    """Compare ILQR with a rival at the time when ILQR is soon done."""
+    count, below, ratios = lanes.sizes["start"], 0, []
+    for lane in range(count):
+        mine, other = (lanes.sel(solver=m).isel(start=lane) for m in ("ILQR", rival))
+        there = _when(mine, best)
+        below += bool(_at(mine, there) <= _at(other, there))
+        ratios.append(_when(other, best) / there)
+    known = [ratio for ratio in ratios if np.isfinite(ratio)]
+    times = f", and {rival} {np.median(known):.2g} times as late (median)" if known else ""
+    return Claim(
+        f"At equal time ILQR's cost is below {rival}'s, from {where}",
+        "Li (2006), fig. 4.3",
+        "below",
+        f"from {below} of {count}, at the time when ILQR is within a factor {SOON:g} of the best "
+        f"cost{times}; {rival} comes there from {len(known)} of {count}",
+        below == count,
+        "DDP begins with ILQR's own steps here, and never forms the tensors of second derivatives."
+        if rival == "DDP"
+        else "",
+    )
+
+
+def _when(one: xarray.Dataset, best: float) -> float:
+    """Return when a curve comes within the factor of the best cost, infinite if never."""
+    reached = one.cost.values <= SOON * best
+    return float(one.seconds.values[np.argmax(reached)]) if reached.any() else np.inf
+
+
+def _at(one: xarray.Dataset, seconds: float) -> float:
+    """Return the lowest cost that a curve has reached by a time."""
+    return float(np.min(np.where(one.seconds.values <= seconds, one.cost.values, np.inf)))

@@ -13,6 +13,8 @@ import pytest
 from ipykernel.kernelspec import write_kernel_spec
 from nbclient import NotebookClient
 
+# Its models have tests of their own.
+SLOW = {"02_theories"}
 FOLDER = Path(__file__).parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 
@@ -57,7 +59,13 @@ def test_notebook_is_committed_clean(path):
     assert raw["metadata"]["kernelspec"]["name"] == "python3"
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem in SLOW else ())
+        for path in NOTEBOOKS
+    ],
+)
 def test_notebook_runs_and_draws(path, kernel, tmp_path, monkeypatch):
     monkeypatch.setenv("JAXCTRL_QUICK", "1")
     work = tmp_path / "work"

@@ -267,6 +267,7 @@ def _check_gradients(where):
     assert {"x0", "dt"} <= names and any(name.endswith(".weight") for name in names)
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_solve_with_a_step_cost_agree_with_differences():
     _check_gradients(lambda name: name in ("x0", "dt") or name.endswith(".weight"))
 

@@ -200,21 +200,26 @@ def summary(rows: Sequence[Record], held: Sequence[Record], best: dict[str, floa
         "table": lambda r: table("Table 4.1", r[0]["rows"]),
         "single": lambda r: singles(_in_order(r), best),
         "batch": batches, "restarts": restarts, "gradients": gradients,
-        "claim": lambda r: table(
-            "Claims",
-            [("claim", "expected", "measured", "holds")]
-            + [
-                (c["statement"], c["expected"], c["measured"], "yes" if c["holds"] else "NO")
-                for c in r
-            ],
-        ),
+        "claim": _claims,
     }  # fmt: skip
+    if "table" in sections:  # it has the single solves already
+        del order["single"]
     parts = [write(sections[name]) for name, write in order.items() if name in sections]
     exponents = list(_exponents(rows))
     if exponents:
         heads = ("what", "solver", "dtype", "from", "exponent")
         parts.append(table("Time per iteration ~ number^exponent", [heads, *exponents]))
     return "\n".join([*parts, *([bars(held)] if held else [])])
+
+
+def _claims(records: Sequence[Record]) -> str:
+    """Return each claim with its verdict and, on lines of their own, what was said and measured."""
+    lines = ["Claims", "------"]
+    for c in records:
+        lines.append(f"{'yes' if c['holds'] else 'NO ':<3}  {c['statement']}")
+        parts = (("expected", c["expected"]), ("measured", c["measured"]), ("note", c["note"]))
+        lines += [f"     {name}: {words}" for name, words in parts if words]
+    return "\n".join([*lines, ""])
 
 
 def _in_order(records: Sequence[Record]) -> list[Record]:

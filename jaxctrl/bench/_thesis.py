@@ -43,5 +43,5 @@ def run(orders: dict[str, Any], emit: Emitter) -> None:
     for claim in claims:
         emit(
             "claim", problem=TABLE, statement=claim.statement, expected=claim.expected,
-            measured=claim.measured, holds=claim.holds,
+            measured=claim.measured, holds=claim.holds, note=claim.note,
         )  # fmt: skip

@@ -168,7 +168,7 @@ def table(data: xarray.Dataset, thesis: Thesis, names: Mapping[str, str]) -> lis
     near = [f"{float(n):g}" for n in data.near.values]
     head = ["problem", "method", *(f"ms to {n}" for n in near), *(f"it. to {n}" for n in near)]
     head += ["/ ILQR", "first s", "cost", "above best", "it. in all", "status"]
-    rows = [(*head, "thesis s", "thesis it.", "thesis / ILQR")]
+    rows: list[tuple[str, ...]] = [(*head, "thesis s", "thesis it.", "thesis / ILQR")]
     for problem in data.problem.values:
         one = data.sel(problem=problem)
         level = _level(one)

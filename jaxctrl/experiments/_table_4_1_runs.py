@@ -61,14 +61,15 @@ def measure(case: Case, config: Any) -> tuple[list[Row], float, tuple[float, flo
 
 def _first(case: Case, solver: AbstractSolver, config: Any) -> tuple[Solution, float]:
     """Solve with nothing compiled before; return the solution and the time [s]."""
-    found = []
+    found: list[Solution] = []
 
     def call():
         found.append(solve(case.problem, solver, case.x0, max_steps=config.max_steps))
         return found[0].cost
 
     jax.clear_caches()
-    return (taken := seconds(call)) and (found[0], taken)
+    taken = seconds(call)
+    return found[0], taken
 
 
 def _row(

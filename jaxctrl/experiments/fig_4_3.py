@@ -112,11 +112,6 @@ def _draw(ax: Axes, data: xarray.Dataset) -> None:
     ax.set_xlabel("time [ms]")
 
 
-def _at(one: xarray.Dataset, seconds: float) -> float:
-    """Return the lowest cost that a curve has reached by a time."""
-    return float(np.nanmin(np.where(one.seconds.values <= seconds, one.cost.values, np.inf)))
-
-
 def claims(result: Result) -> list[Claim]:
     """Compare with what the thesis says of its figure 4.3."""
     data = result.data

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
 from .. import plot
-from ..solvers import DDP, ILQR
+from ..solvers import DDP, ILQR, AbstractSolver
 from ..solvers._batch import solve_batch
 from ..solvers._solution import Solution
 from ._chapter_4 import TARGET, Case, arm_case, random_controls
@@ -47,7 +47,7 @@ class Config:
     @classmethod
     def quick(cls) -> "Config":
         """Return settings with few starts and a coarser time step."""
-        return cls(starts=10, num_steps=50, max_steps=300)
+        return cls(starts=4, num_steps=25, max_steps=100)
 
 
 class _Cloud(NamedTuple):
@@ -115,14 +115,14 @@ def _is(name: str, units: str) -> dict[str, str]:
 
 
 def _cloud(case: Case, amplitudes: tuple[float, ...], config: Config) -> _Cloud:
-    def solved(us, solver=ILQR(), max_steps=config.max_steps) -> Solution:  # noqa: B008
-        return solve_batch(case.problem, solver, case.x0, us, max_steps=max_steps)
+    def solved(us, solver: AbstractSolver) -> Solution:
+        return solve_batch(case.problem, solver, case.x0, us, max_steps=config.max_steps)
 
     starts = [
         jnp.asarray(random_controls(case, config.starts, amplitude, config.seed))
         for amplitude in amplitudes
     ]
-    found = [solved(us) for us in starts]
+    found = [solved(us, ILQR()) for us in starts]
     cost = np.stack([np.asarray(each.cost) for each in found])
     ok = np.stack([np.asarray(each.status.ok) for each in found])
     level, lane = np.unravel_index(np.argmin(np.where(ok, cost, np.inf)), cost.shape)

@@ -8,6 +8,7 @@ import xarray
 
 from jaxctrl import experiments
 from jaxctrl.bench import _layout, _thesis
+from jaxctrl.experiments._result import Claim
 
 
 @pytest.fixture
@@ -28,7 +29,7 @@ def table(monkeypatch):
         },
         {"problem": ["torque"], "solver": ["ILQR", "BVP"], "near": near},
     )
-    claim = SimpleNamespace(statement="ILQR is fastest", expected="yes", measured="yes", holds=True)
+    claim = Claim("ILQR is fastest", "table 4.1", "2x", "0.5x", False, "It is not.")
     module = SimpleNamespace(
         Config=SimpleNamespace(quick=lambda: None),
         run=lambda config: SimpleNamespace(data=data, failure=""),
@@ -55,7 +56,10 @@ def test_the_table_and_its_claims_are_shown(table):
     _thesis.run({"quick": True}, kept)
     shown = _layout.summary(kept, [], {})
     assert "Table 4.1" in shown and "torque   0.2 s" in shown
-    assert "ILQR is fastest" in shown and "never near the best cost" in shown
+    assert (
+        "NO   ILQR is fastest\n     expected: 2x\n     measured: 0.5x\n     note: It is not."
+        in shown
+    )
     ilqr = next(row for row in kept if row.get("solver") == "ILQR")
     assert ilqr["timing"]["ms"] == 200 and ilqr["iterations"] == 5
     assert ilqr["note"] == "within 0.0001 of the best cost"

@@ -10,8 +10,11 @@ import pytest
 from jaxctrl import experiments
 from jaxctrl.experiments._result import Claim, Result
 
-# What compiles long and is otherwise like another one.
-SLOW = {"fig-3.6", "fig-3.8", "fig-3.10", "two-thirds"}
+# What compiles long: like another one, or tested in parts elsewhere.
+SLOW = {
+    "fig-3.4", "fig-3.6", "fig-3.8", "fig-3.10", "two-thirds", "curvature-map", "fig-4.3",
+    "table-4.1",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,12 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxctrl as jc
 
 
+@pytest.mark.slow
 def test_lanes_of_the_muscle_arm_equal_their_solo_runs():
     arm = jc.plants.MuscleArm()
     x0 = arm.at_rest(shoulder=0.785, elbow=1.571)

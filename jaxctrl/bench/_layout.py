@@ -62,6 +62,8 @@ def live(record: Record) -> str | None:
     if record["section"] == "failure":
         return f"{record['suite']:<9} FAILED {record['problem']}: {record['reason']}"
     ms, spread = _milliseconds(record.get("timing"))
+    if record.get("total_ms") is not None and "timing" not in record:
+        ms, spread = f"{record['total_ms']:.4g}", "in all"
     line = "{:<9} {:<10} {:<22} {:<33}".format(*what)
     line += f" {record['mode']:<8} {record['dtype']}  {ms:>9} ms ({spread})"
     return line + (f", {record['status']}" if record.get("status") else "")

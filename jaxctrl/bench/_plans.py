@@ -44,10 +44,11 @@ def _peers(base: dict[str, Any], quick: bool) -> list[Job]:
     names = ["P2"] if quick else list(CASES)
     solvers = list(SOLVERS[:2] if quick else SOLVERS)
     common = {**base, "names": names, "solvers": solvers}
-    further = {**common, "peers": False, "singles_alone": True, "firsts": 1}
+    newton = {**common, "peers": False, "solvers": list(SOLVERS[:2])}
+    further = {**newton, "singles_alone": True, "firsts": 1}
     first = {**common, "peers": True, "singles_alone": False}
     # A trial need not compile everything twice.
-    default = {**common, "peers": False, "singles_alone": quick, "mode": "default"}
+    default = {**newton, "singles_alone": quick, "restarts": 0, "mode": "default"}
     return [Job(first, further), Job(default, {**further, "mode": "default"})]
 
 

@@ -78,8 +78,9 @@ class Session:
         start = len(rows)
         for job in jobs:
             self.job(job.orders, chosen, rows.append)
-        for _ in range(jobs[0].orders["processes"] - 1):
-            self.again(jobs, chosen, start)
+        if self.save is not None or self.old is not None:  # only comparisons need more processes
+            for _ in range(jobs[0].orders["processes"] - 1):
+                self.again(jobs, chosen, start)
         if self.old is not None and any(j.verdict == "slower" for j in self.judged(start)):
             # A false alarm is rarer than one slow hour: what looks slower is measured once more.
             self.report(f"{suite}: something looks slower, measuring again")

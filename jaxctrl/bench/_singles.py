@@ -23,6 +23,8 @@ from ._stopwatch import measure, one_core
 from ._worker import Emitter
 
 GRADIENTS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5)
+FIXED = 1e-3
+"""The gradient tolerance of gradient methods."""
 RULE = 1e-6
 """Where a solve may stop: this far, relatively, above the solver's own limit."""
 RESTARTED = ("P1", "P2", "P3", "P3h")
@@ -72,9 +74,12 @@ class Bench:
     def choose(self, label: str) -> tuple[Call, float]:
         """Note the largest gradient tolerance that obeys the rule; return its call and first time.
 
-        Where none does it is the smallest one, and the report shows the gap.
+        Where none does it is the smallest one, and the report shows the gap. Gradient methods, of
+        which each trial takes long, get one tolerance.
         """
         limit, known = self.limit(label), self.chosen["g"].get(label)
+        if known is None and label not in NEWTON:
+            known = FIXED
         for g in GRADIENTS if known is None else (known,):
             self.chosen["g"][label] = g
             call, first = first_call(partial(self.make, label, g))
@@ -90,7 +95,7 @@ def singles(bench: Bench, rivals: Sequence[_programs.Program]) -> dict[str, tupl
     for label in orders["solvers"]:
         call, first = bench.choose(label)
         g, firsts = bench.chosen["g"][label], [first]
-        for _ in range(orders["firsts"] - 1):
+        for _ in range(orders["firsts"] - 1 if label in NEWTON else 0):
             call, first = first_call(partial(bench.make, label, g))
             firsts.append(first)
         ours.append((label, g, call, firsts))
@@ -203,8 +208,9 @@ def run(orders: dict[str, Any], emit: Emitter) -> None:
             bench = Bench(name, cases()[name], orders, emit)
             ours = singles(bench, rivals_of(bench, built, lacks) if orders["peers"] else [])
             if not orders["singles_alone"]:
-                for label in (label for label in NEWTON if name in RESTARTED):
-                    restarts(bench, label, ours[label][1])
+                if orders["restarts"] and name in RESTARTED:
+                    for label in NEWTON:
+                        restarts(bench, label, ours[label][1])
                 if name in DIFFERENTIATED:
                     gradients(bench, ours["ILQR"][0])
                 program = built.get("crocoddyl_peer")

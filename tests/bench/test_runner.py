@@ -69,10 +69,18 @@ def test_a_missing_folder_is_refused_before_anything_is_measured(call, tmp_path)
 
 
 def test_rows_appear_as_they_come_and_again_in_a_table(call):
-    code, stdout, stderr = call("problems", "--quick", records=[record(), record(solver="DDP")])
-    assert code == 0
-    assert stderr.count("pendulum") == 2 * len(("ILQR", "DDP"))  # two processes
+    records = [record(), record(solver="DDP")]
+    code, stdout, stderr = call("problems", "--quick", records=records)
+    assert code == 0 and stderr.count("pendulum") == 2
     assert "One solve" in stdout and "CONVERGED" not in stdout
+
+
+def test_what_is_saved_is_measured_in_several_processes(call, tmp_path):
+    path = tmp_path / "new.json"
+    _, _, stderr = call("problems", "--quick", "--save", path, records=[record()])
+    assert stderr.count("pendulum") == 2
+    (row,) = json.loads(path.read_text())["rows"]
+    assert len(row["timing"]["relative"]) == 2
 
 
 def test_a_cost_that_is_worse_says_so(call):

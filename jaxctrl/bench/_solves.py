@@ -14,7 +14,7 @@ SOLVERS: dict[str, Callable[..., jc.AbstractSolver]] = {
     "ILQR": jc.ILQR, "DDP": jc.DDP, "LBFGS": jc.LBFGS, "ConjugateGradient": jc.ConjugateGradient,
 }  # fmt: skip
 NEWTON = ("ILQR", "DDP")
-LIMIT = {"LBFGS": 5000, "ConjugateGradient": 5000}
+LIMIT = {"LBFGS": 2000, "ConjugateGradient": 2000}
 """Iterations at most, where 500 are few."""
 Call = Callable[[], Any]
 

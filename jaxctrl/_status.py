@@ -31,11 +31,12 @@ class Reason(enum.IntEnum):
     BVP_SINGULAR = 13
     BVP_DIVERGED = 14
     BVP_NO_MINIMUM = 15
-    NONFINITE_INPUT = 16
-    INFEASIBLE_BOUNDS = 17
-    NONFINITE_DYNAMICS = 18
-    NONFINITE_COST = 19
-    NONFINITE_DERIVATIVE = 20
+    BVP_OFF_GRID = 16
+    NONFINITE_INPUT = 17
+    INFEASIBLE_BOUNDS = 18
+    NONFINITE_DYNAMICS = 19
+    NONFINITE_COST = 20
+    NONFINITE_DERIVATIVE = 21
 
     @property
     def message(self) -> str:
@@ -58,13 +59,15 @@ _MESSAGES = {
     Reason.STATIONARY_START: "stationary at the start: no step was needed. Fine for a warm start; "
     "if the start was a guess, it may be a saddle or a maximum: perturb `us` to tell",
     Reason.RUNNING: "still running",
-    Reason.MAX_STEPS: "not converged: the maximum number of steps was reached",
+    Reason.MAX_STEPS: "not converged: the maximum number of steps was reached; raise "
+    "`max_steps`, or start nearer",
     Reason.NEARLY_CONVERGED: "not converged, though near: the maximum number of steps was reached "
     "with a projected gradient within 100 times its tolerance",
     Reason.STALLED: "not converged: the expected reduction of the cost is at round-off, but the "
     "projected gradient is above its tolerance; scale the problem, or use float64",
     Reason.LINE_SEARCH_FAILED: "not converged: no step along the search direction lowers the cost, "
-    "even with the largest regularisation or down the gradient",
+    "even down the gradient, or with the largest regularisation; if `gradient` is small, this is "
+    "round-off",
     Reason.REGULARISATION_EXHAUSTED: "failed: the Hessian of the controls is not positive definite "
     "at step {index}, even with the largest regularisation",
     Reason.BVP_MAX_NODES: "not converged: the mesh of the boundary-value problem reached "
@@ -75,6 +78,9 @@ _MESSAGES = {
     "the boundary-value problem; start from other controls `us`",
     Reason.BVP_NO_MINIMUM: "failed: at step {index} the Hamiltonian has no strict minimum in the "
     "controls, so that a solution of the boundary-value problem need not be optimal",
+    Reason.BVP_OFF_GRID: "not converged: the boundary-value problem is solved, but held over the "
+    "problem's steps its controls cost over 1.1 times as much as in continuous time; shorten dt, "
+    "use RK4, or a solver on the grid",
     Reason.NONFINITE_INPUT: "failed: x0, us or a parameter of the problem is not finite",
     Reason.INFEASIBLE_BOUNDS: "failed: a lower control bound lies above its upper bound at step "
     "{index}",

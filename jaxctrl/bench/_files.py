@@ -23,6 +23,11 @@ class FileError(Exception):
     """Report a file that cannot be written or be trusted: its path and the reason."""
 
 
+def incomplete(path: Path) -> Path:
+    """Return the file that holds a run to be saved at `path` until it is complete."""
+    return path.with_name(f"{path.name}.incomplete")
+
+
 def machine() -> dict[str, Any]:
     """Describe where this runs."""
     cores = len(CORES) or os.cpu_count()

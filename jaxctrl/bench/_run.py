@@ -51,7 +51,10 @@ def run(
             session.suite(suite, quick, peers or suite == "peers")
         session.run["complete"] = True
     except KeyboardInterrupt:
-        report("interrupted" + ("" if save is None else f": what was measured is in {save}"))
+        where = ""
+        if save is not None and session.run["rows"]:
+            where = f": what was measured is in {_files.incomplete(save)}"
+        report("interrupted" + where)
         return 130
     finally:
         session.write()
@@ -68,9 +71,15 @@ class Session:
         self.run, self.save, self.old, self.report, self.show = run, save, old, report, show
 
     def write(self) -> None:
-        """Save what there is, if it is to be saved."""
-        if self.save is not None:
+        """Save what there is, if it is to be saved: an earlier run is not lost to half of one."""
+        if self.save is None:
+            return
+        partial = _files.incomplete(self.save)
+        if self.run["complete"]:
             _files.save(self.save, self.run)
+            partial.unlink(missing_ok=True)
+        elif self.run["rows"]:
+            _files.save(partial, self.run)
 
     def suite(self, suite: str, quick: bool, peers: bool) -> None:
         """Measure one suite and show its tables."""

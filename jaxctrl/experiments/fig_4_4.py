@@ -24,7 +24,7 @@ from .. import plot
 from ..solvers import DDP, ILQR, AbstractSolver
 from ..solvers._batch import solve_batch
 from ..solvers._solution import Solution
-from ._chapter_4 import TARGET, Case, arm_case, random_controls
+from ._chapter_4 import START, TARGET, Case, arm_case, random_controls
 from ._result import Claim, Result
 
 AMPLITUDES = {"torque": (0.1, 0.3, 1.0, 3.0, 5.0, 10.0), "muscle": (0.03, 0.1, 0.3, 0.5, 0.7, 1.0)}
@@ -47,7 +47,7 @@ class Config:
     @classmethod
     def quick(cls) -> "Config":
         """Return settings with few starts and a coarser time step."""
-        return cls(starts=4, num_steps=25, max_steps=100)
+        return cls(starts=4, num_steps=25, max_steps=300)
 
 
 class _Cloud(NamedTuple):
@@ -101,7 +101,7 @@ def run(config: Config) -> Result:
             "arm": ("arm", list(AMPLITUDES), {"long_name": "arm"}),
             "iteration": (
                 "iteration",
-                [*(f"iteration {count}" for count in SHOWN), "converged", "from widest starts"],
+                [*(f"iteration {count}" for count in SHOWN), "last", "last, widest starts"],
                 {"long_name": "iteration from the reference starts, or the last one"},
             ),
             "joint": ("joint", ["shoulder", "elbow"], {"long_name": "joint"}),
@@ -151,7 +151,7 @@ def _paths(case: Case, uss: jax.Array) -> jax.Array:
 
 def _fractions(data: xarray.Dataset, near: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the fractions (arm, level) at the best cost, and their intervals (arm, level, 2)."""
-    hits = ((data.excess.values <= near) & data.ok.values).sum(axis=-1)
+    hits = (data.excess.values <= near).sum(axis=-1)
     count = data.sizes["start"]
     intervals = [
         [binomtest(int(k), count).proportion_ci(method="wilson") for k in row] for row in hits
@@ -182,14 +182,15 @@ def figure(result: Result) -> Figure:
 
 def _draw_cloud(ax: Axes, paths: np.ndarray) -> None:
     """Draw paths (start, time, joint), sorted by their last cost: light the worse half, on top the
-    better one."""
+    better one, which hides it where they coincide."""
     half = len(paths) // 2
-    looks = (("0.75", paths[half:], "worse half"), ("black", paths[:half], "better half"))
+    looks = (("0.75", paths[half:], "costlier half"), ("black", paths[:half], "cheaper half"))
     for color, group, label in looks:
         for i, path in enumerate(group):
             ax.plot(
                 *path.T, color=color, linestyle="-", linewidth=0.5, label=label if i == 0 else None
             )
+    ax.plot(*START, "o", markersize=4, color="C0", label="start", zorder=5)
     ax.plot(*TARGET, linestyle="", label="target", color="C1", **RING)
     ax.set_xlabel("shoulder [rad]")
 
@@ -209,7 +210,7 @@ def _draw_fractions(ax: Axes, data: xarray.Dataset, row: int) -> None:
     ax.set_xscale("log")
     ax.set_ylim(-0.03, 1.05)
     ax.set_xlabel(
-        "torque of the starts, sd [N m]" if row == 0 else "excitation of the starts ≤ [1]"
+        "torque of the starts, sd [N m]" if row == 0 else "largest excitation of the starts [1]"
     )
     ax.set_ylabel("fraction at the best cost")
 

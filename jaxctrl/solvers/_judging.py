@@ -19,10 +19,11 @@ class Tolerances(eqx.Module):
 
     Attributes:
         gradient: bound on the relative projected gradient, which every success satisfies but
-            float32's `CONVERGED_ROUND_OFF`; 20 eps^0.4, 1.1e-5 in float64 and 0.03 in float32. It
-            is sqrt(sum D p^2 / |J|), with D the |diagonal of Q_uu|, g the gradient of the cost J
-            in the controls and p = u - clip(u - g/D) over all times and controls: free of units,
-            and its square twice the relative reduction of J that steps -g/D expect.
+            float32's `CONVERGED_ROUND_OFF` and `BoundaryValue`'s own; 20 eps^0.4, 1.1e-5 in float64
+            and 0.03 in float32. It is sqrt(sum D p^2 / |J|), with D the |diagonal of Q_uu|, g the
+            gradient of the cost J in the controls and p = u - clip(u - g/D) over all times and
+            controls: free of units, and its square twice the relative reduction of J that steps
+            -g/D expect.
         cost: bound on the expected reduction of the cost relative to it; eps^(2/3), 4e-11 in
             float64.
         step: bound on the largest change of a control relative to the largest control;

@@ -95,6 +95,8 @@ def _warn(problem: Problem, solver: AbstractSolver | AbstractDirectSolver, dtype
     eps = float(jnp.finfo(dtype).eps)
     for name in ("gradient_tolerance", "cost_tolerance", "step_tolerance"):
         value = getattr(solver, name, None)
+        if value is not None and not value >= 0:
+            raise ValueError(f"{name}: a number >= 0 is wanted, got {value!r}")
         if value is not None and value < 10 * eps:
             warnings.warn(
                 f"{name} = {value:g} is below 10 eps of {dtype}, {10 * eps:.1g}: it may never be "

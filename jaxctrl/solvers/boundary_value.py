@@ -32,6 +32,9 @@ FACTOR, LARGEST_FACTOR, SMALLEST_FACTOR = 4.0, 100.0, 1.05
 CHEAP = 0.02
 """The relative price below which the next is zero."""
 
+OFF_GRID = 1.1
+"""How many times the continuous cost the grid's may be."""
+
 
 class BoundaryValue(AbstractDirectSolver):
     """Solve the continuous-time problem by its two-point boundary-value problem.
@@ -55,8 +58,9 @@ class BoundaryValue(AbstractDirectSolver):
     the feedback of a Riccati sweep around the continuous trajectory. The one of lowest cost is
     returned. Its `gradient` is that on the grid, which is not zero: the continuous optimum is not
     the grid's. With explicit Euler they differ by O(dt), and a long or unstable movement whose
-    control is cheap may end far off; with `RK4` much less so. An extremal need not be a
-    minimum, nor the best one.
+    control is cheap may end far off; with `RK4` much less so. Where the cost on the grid is more
+    than 1.1 times that in continuous time the status is `BVP_OFF_GRID`, no success. An extremal
+    need not be a minimum, nor the best one.
 
     It runs on the host: under jit, vmap and grad, and in `solve_batch`, it raises TypeError; its
     solution has no derivative. `max_steps` of `solve` does not apply; `num_steps` counts the rounds
@@ -93,10 +97,13 @@ class BoundaryValue(AbstractDirectSolver):
             xs = last_finite(guess.ys[:, : x0.size])
             return _solution(problem, xs, us, guess.status, 0)
         path, price, reason, rounds = self._follow(problem, x0, guess)
-        xs, us, minimised = _on_grid(problem, x0, path, price)
+        xs, us, minimised, cost = _on_grid(problem, x0, path, price)
         status = Status.of(reason)
-        if reason is Reason.CONVERGED_COLLOCATION and not minimised.all():
-            status = Status.of(Reason.BVP_NO_MINIMUM, int(np.argmin(minimised)))
+        if reason is Reason.CONVERGED_COLLOCATION:
+            if not minimised.all():
+                status = Status.of(Reason.BVP_NO_MINIMUM, int(np.argmin(minimised)))
+            elif float(problem.total_cost(xs, us)) > cost + (OFF_GRID - 1) * abs(cost):
+                status = Status.of(Reason.BVP_OFF_GRID)
         # On the grid, what the continuous trajectory avoids may still happen.
         status = start_status(problem, xs, us, status)
         return _solution(problem, last_finite(xs), us, status, rounds)
@@ -180,7 +187,8 @@ def _from_grid(ys: np.ndarray) -> Path:
 
 
 def _on_grid(problem: Problem, x0: Array, path: Path, price: Array):
-    """Return the best roll-out of a path's controls, xs, us, and where H is minimised (T,)."""
+    """Return the best roll-out of a path's controls, xs, us, where H is minimised (T,), and the
+    cost in continuous time."""
     T, hamiltonian = problem.num_steps, Hamiltonian(problem, price)
     begins = np.arange(T) / T
     choices, fine = [], np.ones(T, bool)
@@ -189,11 +197,21 @@ def _on_grid(problem: Problem, x0: Array, path: Path, price: Array):
         choices.append(us)
         fine &= minimised
     # Between the grid's points too.
-    _, minimised = controls(hamiltonian, path.s, path.ys)
+    nodes, minimised = controls(hamiltonian, path.s, path.ys)
     steps = np.minimum((path.s * T).astype(int), T - 1)
     np.logical_and.at(fine, steps, minimised)
     xs = path.at(np.linspace(0.0, 1.0, T + 1))[:, : x0.size]
-    return *_best(problem, x0, jnp.asarray(xs, x0.dtype), jnp.asarray(choices, x0.dtype)), fine
+    best = _best(problem, x0, jnp.asarray(xs, x0.dtype), jnp.asarray(choices, x0.dtype))
+    along = [jnp.asarray(a, x0.dtype) for a in (path.s, path.ys[:, : x0.size], nodes)]
+    return *best, fine, float(_continuous_cost(problem, *along))
+
+
+@eqx.filter_jit
+def _continuous_cost(problem: Problem, s: Array, xs: Array, us: Array) -> Array:
+    """Return the cost of a path, by the trapezoidal rule over its nodes s (n,), shape ()."""
+    plant, cost, t = problem.plant, problem.cost, s * problem.duration
+    rates = jax.vmap(lambda x, u, t: cost.running(plant, x, u, t))(xs, us, t)
+    return jnp.sum(0.5 * (rates[1:] + rates[:-1]) * jnp.diff(t)) + cost.terminal(plant, xs[-1])
 
 
 @eqx.filter_jit

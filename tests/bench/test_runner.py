@@ -91,12 +91,18 @@ def test_a_cost_that_is_worse_says_so(call):
     assert "worse" not in lines["ILQR"]
 
 
-def test_an_interrupted_run_keeps_what_it_has(call, tmp_path):
-    path = tmp_path / "new.json"
+def test_an_interrupted_run_keeps_what_it_has_and_the_earlier_run(call, tmp_path):
+    path, partial = tmp_path / "new.json", tmp_path / "new.json.incomplete"
+    call("problems", "--save", path, records=[record(), record(solver="DDP")])
+    assert len(json.loads(path.read_text())["rows"]) == 2
     code, _, stderr = call("problems", "--save", path, records=[record()], stop=True)
-    saved = json.loads(path.read_text())
-    assert code == 130 and str(path) in stderr
+    assert code == 130 and str(partial) in stderr
+    saved = json.loads(partial.read_text())
     assert not saved["complete"] and len(saved["rows"]) == 1
+    assert len(json.loads(path.read_text())["rows"]) == 2
+    assert call("problems", "--save", path, stop=True)[0] == 130
+    call("problems", "--save", path, records=[record()])
+    assert len(json.loads(path.read_text())["rows"]) == 1 and not partial.exists()
 
 
 def test_a_failed_measurement_exits_with_1(call, tmp_path):
@@ -220,7 +226,7 @@ def test_ctrl_c_ends_a_real_run_at_once(tmp_path):
     start = time.monotonic()
     process.communicate(timeout=60)
     assert process.returncode == 130 and time.monotonic() - start < 10
-    saved = json.loads(path.read_text())
+    saved = json.loads(path.with_name("run.json.incomplete").read_text())
     assert not saved["complete"] and saved["rows"]
 
 

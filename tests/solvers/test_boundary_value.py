@@ -285,6 +285,17 @@ def test_noise_in_the_problem_warns_that_it_is_ignored():
         jc.solve(noisy, jc.BoundaryValue(), X0)
 
 
+def test_controls_that_fail_on_the_grid_are_no_success():
+    # Euler's steps of 10 ms are too coarse for a swing-up within 3 N m that nothing corrects.
+    found = jc.problems.load("pendulum-bounded")
+    solution = jc.solve(found.problem, jc.BoundaryValue(), found.x0, found.us)
+    assert solution.status.name == "BVP_OFF_GRID" and not solution.status.ok
+    assert solution.cost > 10 * found.optimum and "RK4" in solution.status.message
+    assert float(solution.cost) == pytest.approx(
+        float(found.problem.total_cost(solution.xs, solution.us)), rel=1e-12
+    )
+
+
 def test_success_is_what_says_so():
     for reason in jc.Reason:
         success = reason.message.startswith(("converged", "stationary"))

@@ -403,3 +403,10 @@ def test_bounds_and_targets_of_the_wrong_form_are_named():
     problem = swing(cost=jc.QuadraticCost(Qf=1.0, target=jnp.zeros(3)))
     with pytest.raises(ValueError, match=r"target: shape \(3,\), wanted \(\) or \(2,\)"):
         jc.solve(problem, jc.ILQR(), X0)
+
+
+@pytest.mark.parametrize("value", [-1.0, float("nan")])
+def test_a_tolerance_that_is_none_is_refused(value):
+    for solver in (jc.ILQR(gradient_tolerance=value), jc.LBFGS(cost_tolerance=value)):
+        with pytest.raises(ValueError, match="_tolerance: a number >= 0 is wanted"):
+            jc.solve(swing(), solver, X0)

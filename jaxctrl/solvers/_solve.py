@@ -165,11 +165,11 @@ def run(
     if isinstance(solver, AbstractDirectSolver):
         _check_functions(problem, x0, us)
         return solver.run(problem, x0, us)
-    return _run_iteration(problem, solver, x0, us, max_steps)
+    return run_iteration(problem, solver, x0, us, max_steps)
 
 
 @eqx.filter_jit
-def _run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: int) -> Solution:
+def run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: int) -> Solution:
     _check_functions(problem, x0, us)
     frozen, x0_frozen, us = jax.lax.stop_gradient((problem, x0, us))
     state, history, count = _iterate(frozen, solver, x0_frozen, us, max_steps)

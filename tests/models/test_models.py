@@ -361,10 +361,10 @@ def test_another_number_does_not_compile_again(arm, x0):
             jc.solve(model.problem(task), jc.ILQR(), model.start(task, x0))
 
     solve(1e-7, TARGET, 0.2, 0.5)
-    size = _solve.run._cached._cache_size()
+    size = _solve.run_iteration._cached._cache_size()
     solve(2e-7, TARGET + 0.01, 0.21, 0.6)
     solve(jnp.array(1e-7), np.array([-0.11, 0.5]), 0.3, 1)
-    assert _solve.run._cached._cache_size() == size
+    assert _solve.run_iteration._cached._cache_size() == size
 
 
 def test_models_are_built_under_jit_and_are_differentiated_by_their_weights(reach):

@@ -161,10 +161,10 @@ def test_another_gain_does_not_compile_again():
         return jc.solve(jc.tasks.reach(InField(arm, field), TARGET, num_steps=20), jc.ILQR(), x0)
 
     solve(Curl(13.0))
-    size = _solve.run._cached._cache_size()
+    size = _solve.run_iteration._cached._cache_size()
     solve(Curl(-5))
     solve(Curl(jnp.array(2.0)))
-    assert _solve.run._cached._cache_size() == size
+    assert _solve.run_iteration._cached._cache_size() == size
 
 
 def test_float32_stays_float32(float32):

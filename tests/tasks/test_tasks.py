@@ -174,10 +174,10 @@ def test_changing_a_task_does_not_compile_again(arm, x0):
     from jaxctrl.solvers import _solve
 
     solve(TARGET, [[0.0, 0.5]], [0.2], 1e-4, 0.5)
-    size = _solve.run._cached._cache_size()
+    size = _solve.run_iteration._cached._cache_size()
     solve(TARGET + 0.01, jnp.array([[0.01, 0.5]]), jnp.array([0.21]), 2e-4, 0.6)
     solve(np.array([-0.11, 0.5]), np.array([[0.01, 0.5]]), np.array([0.21]), 1, 1)
-    assert _solve.run._cached._cache_size() == size
+    assert _solve.run_iteration._cached._cache_size() == size
 
 
 @pytest.mark.parametrize(

@@ -120,10 +120,10 @@ def test_another_path_does_not_compile_again(arm, x0, reach):
         jc.solve(problem, jc.ILQR(), x0)
 
     solve(reach.position, T, 10.0)
-    size = _solve.run._cached._cache_size()
+    size = _solve.run_iteration._cached._cache_size()
     solve(np.asarray(reach.position) + 0.01, 0.7, 5)
     solve(lambda t: arm.hand(x0) + 0.1 * t, 0.5, jnp.array(20.0))
-    assert _solve.run._cached._cache_size() == size
+    assert _solve.run_iteration._cached._cache_size() == size
 
 
 @pytest.mark.parametrize(

@@ -155,7 +155,7 @@ def _draw_times(ax: Axes, data: xarray.Dataset, name: str) -> None:
         if np.isnan(data.seconds.values[row]).all():
             excess = data.cost.values[row] / float(data.best) - 1
             ax.annotate(
-                f"ends {excess:.0%} above" if excess < 100 else "fails", (0.98, row),
+                f"ends {excess:.0%} above" if excess < 100 else "fails", (0.98, row + 0.33),
                 xycoords=("axes fraction", "data"), ha="right", va="center", fontsize=7,
                 color="0.35",
             )  # fmt: skip

@@ -35,12 +35,14 @@ PROBLEMS = {
     "muscle, no stop": "muscle arm, (4.20) as printed",
 }
 """Each problem's name in full."""
+LOWER_BOUND = (400.0, np.nan)
+"""Seconds and iterations of the one method that the thesis stopped before its end."""
 THESIS = {
     "torque": {"ILQR": (0.41, 6), "DDP": (2.65, 15), "CG": (8.86, 17), "BVP": (11.20, np.nan)},
-    "muscle": {"ILQR": (8.31, 8), "DDP": (181.39, 15), "CG": (91.14, 14), "BVP": (400, np.nan)},
+    "muscle": {"ILQR": (8.31, 8), "DDP": (181.39, 15), "CG": (91.14, 14), "BVP": LOWER_BOUND},
     "pendulum": {"ILQR": (0.26, 5), "DDP": (1.61, 20), "CG": (4.95, 9), "BVP": (6.33, np.nan)},
 }
-"""Seconds and iterations of the table; 400 s are a lower bound."""
+"""Seconds and iterations of the table."""
 
 
 @dataclass(frozen=True)
@@ -151,6 +153,12 @@ def _draw_times(ax: Axes, data: xarray.Dataset, name: str) -> None:
     thesis = THESIS.get(name, {})
     there = [thesis[m][0] / thesis["ILQR"][0] if m in thesis else np.nan for m in METHODS]
     ax.plot(there, rows, "o", markersize=9, markerfacecolor="none", color="0.5", label="thesis")
+    for row, method in enumerate(METHODS):
+        if thesis.get(method) == LOWER_BOUND:
+            ax.annotate(
+                "", (1.6 * there[row], row), (there[row], row),
+                arrowprops={"arrowstyle": "->", "color": "0.5", "shrinkA": 4.5},
+            )  # fmt: skip
     for row in rows:
         if np.isnan(data.seconds.values[row]).all():
             excess = data.cost.values[row] / float(data.best) - 1

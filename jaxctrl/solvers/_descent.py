@@ -26,7 +26,7 @@ from .._problem import Problem
 from .._status import Reason, Status
 from .._types import Bounds
 from ..linear import Sweep, box_lqr, lqr
-from ._abstract import AbstractSolver, Record
+from ._abstract import AbstractMinimiser, Record
 from ._judging import (
     Tolerances,
     converged,
@@ -296,13 +296,10 @@ def _judge(
     return _status.where(old.status.is_(Reason.RUNNING), status, old.status)
 
 
-class AbstractDescent(AbstractSolver):
+class AbstractDescent(AbstractMinimiser):
     """A solver of this kind: it says which direction to search, and how exactly."""
 
     _curvature: eqx.AbstractClassVar[float]
-    gradient_tolerance: eqx.AbstractVar[float | None]
-    cost_tolerance: eqx.AbstractVar[float | None]
-    step_tolerance: eqx.AbstractVar[float | None]
 
     @abc.abstractmethod
     def _begin(self, us: Float[Array, "T nu"]) -> Any:
@@ -316,11 +313,6 @@ class AbstractDescent(AbstractSolver):
 
         With an empty memory, `state.fresh`, the direction is along -g/metric.
         """
-
-    @property
-    def tolerances(self) -> Tolerances:
-        """The three tolerances together."""
-        return Tolerances(self.gradient_tolerance, self.cost_tolerance, self.step_tolerance)
 
     def init(self, problem, x0, us):
         """Return the state before anything was computed, from us (T, nu) and x0 (nx,)."""
@@ -350,17 +342,9 @@ class AbstractDescent(AbstractSolver):
         """Search along a direction and judge where it led; arrays keep their shapes."""
         return step(problem, state, self)
 
-    def status(self, state):
-        """Return why the iteration ends, or `RUNNING`; shape ()."""
-        return state.status
-
     def record(self, state):
         """Return cost, projected gradient, length of the step and 0, each of shape ()."""
         return Record(state.cost, state.gradient, state.length, jnp.zeros_like(state.cost))
-
-    def near(self, state):
-        """Tell whether the gradient is within 100 times its tolerance, shape ()."""
-        return state.gradient <= 100 * self.tolerances.resolve(state.cost.dtype)[0]
 
     def policy(self, problem, state):
         """Return the gains of a sweep around the last trajectory, xs (T+1, nx) and us (T, nu).

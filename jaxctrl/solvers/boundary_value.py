@@ -44,8 +44,9 @@ class BoundaryValue(AbstractDirectSolver):
 
     (Pontryagin et al. 1962; the method "ODE" of Li 2006, section 4.3), by collocation on an
     adapted mesh: `scipy.integrate.solve_bvp`, with the residuals of BVP4C (Kierzenka & Shampine
-    2001; Ascher, Mattheij & Russell 1995) and exact Jacobians. H is minimised by `Hamiltonian`,
-    which says for what plants this is the global minimum.
+    2001; Ascher, Mattheij & Russell 1995) and exact Jacobians. The minimum of H is the global one
+    where H is quadratic in u, as for control-affine plants with quadratic effort, or a sum of terms
+    of one control each, as for muscles; else it is a local one.
 
     The first guess is the roll-out of the starting controls and its costates. Where a step down the
     gradient would reduce the cost by more than the cost itself, continuation leads there: a price
@@ -81,7 +82,7 @@ class BoundaryValue(AbstractDirectSolver):
     max_nodes: int = eqx.field(static=True, default=2000)
 
     def __check_init__(self):
-        if not self.tol > 0:
+        if not (isinstance(self.tol, int | float) and self.tol > 0):
             raise ValueError(f"tol: a number above 0 is wanted, got {self.tol!r}")
         if isinstance(self.max_nodes, bool) or not isinstance(self.max_nodes, int):
             raise ValueError(f"max_nodes: an integer is wanted, got {self.max_nodes!r}")

@@ -11,7 +11,7 @@ from .._local_model import expand
 from .._problem import Problem
 from .._status import Reason, Status
 from ..linear import Sweep, box_lqr, find_engine, lqr
-from ._abstract import AbstractSolver, Record
+from ._abstract import AbstractMinimiser, Record
 from ._judging import (
     Tolerances,
     converged,
@@ -191,7 +191,7 @@ def _judge(problem, old: ShootingState, new: ShootingState, tolerances: Toleranc
     return _status.where(old.status.is_(Reason.RUNNING), start, old.status)
 
 
-class AbstractShooting(AbstractSolver):
+class AbstractShooting(AbstractMinimiser):
     """A solver of this kind: it says when it has converged, and what order its model is of.
 
     Attributes:
@@ -200,18 +200,10 @@ class AbstractShooting(AbstractSolver):
     """
 
     second_order: eqx.AbstractClassVar[bool]
-    gradient_tolerance: eqx.AbstractVar[float | None]
-    cost_tolerance: eqx.AbstractVar[float | None]
-    step_tolerance: eqx.AbstractVar[float | None]
     sweep: eqx.AbstractVar[str]
 
     def __check_init__(self):
         find_engine(self.sweep)
-
-    @property
-    def tolerances(self) -> Tolerances:
-        """The three tolerances together."""
-        return Tolerances(self.gradient_tolerance, self.cost_tolerance, self.step_tolerance)
 
     def init(self, problem, x0, us):
         """Return the state before anything was computed, from us (T, nu) and x0 (nx,)."""
@@ -221,17 +213,9 @@ class AbstractShooting(AbstractSolver):
         """Search along the law, then expand and sweep anew; arrays keep their shapes."""
         return step(problem, state, self)
 
-    def status(self, state):
-        """Return why the iteration ends, or `RUNNING`; shape ()."""
-        return state.status
-
     def record(self, state):
         """Return cost, projected gradient, accepted fraction and lambda, each of shape ()."""
         return Record(state.cost, state.gradient, state.fraction, state.lam)
-
-    def near(self, state):
-        """Tell whether the gradient is within 100 times its tolerance, shape ()."""
-        return state.gradient <= 100 * self.tolerances.resolve(state.cost.dtype)[0]
 
     def policy(self, problem, state):
         """Return the last gains around the last trajectory, xs (T+1, nx) and us (T, nu).

@@ -5,8 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
+from scipy.integrate import solve_bvp
 
 import jaxctrl as jc
+from jaxctrl.solvers import _collocation
 from jaxctrl.solvers._collocation import Path, _System, collocate
 from jaxctrl.solvers._hamiltonian import Hamiltonian
 
@@ -219,6 +221,33 @@ def test_too_few_nodes_is_a_status_with_finite_arrays():
         jc.solve(problem, jc.BoundaryValue(max_nodes=6), x0, throw=True)
 
 
+def test_problem_without_an_extremal_diverges():
+    # Bratu's: x'' = -e^x, x(0) = 0, x'(T) = 0 has no solution for T > 0.94 (4T^2 > 3.514).
+    plant = jc.FunctionPlant(lambda x, u, t: u, nx=1, nu=1)
+    cost = jc.FunctionCost(running=lambda x, u, t: 0.5 * u @ u - jnp.exp(x[0]))
+    reasons = [
+        jc.solve(
+            jc.Problem(plant, cost, num_steps=100, dt=T / 100, integrator=RUNGE_KUTTA),
+            jc.BoundaryValue(), jnp.zeros(1),
+        ).status.name
+        for T in (0.9, 1.0)
+    ]  # fmt: skip
+    assert reasons == ["CONVERGED_COLLOCATION", "BVP_DIVERGED"]
+
+
+def test_singular_collocation_is_a_status_with_finite_arrays(monkeypatch):
+    class Result:
+        """What SciPy returns where it can factorise nothing."""
+
+        def __init__(self, found):
+            self.__dict__.update(found, status=2)
+
+    monkeypatch.setattr(_collocation, "solve_bvp", lambda *a, **k: Result(solve_bvp(*a, **k)))
+    solution = jc.solve(linear(), jc.BoundaryValue(), X0)
+    assert solution.status.name == "BVP_SINGULAR" and not solution.status.ok
+    assert np.isfinite(solution.xs).all() and np.isfinite(solution.us).all()
+
+
 def test_hamiltonian_without_a_minimum_is_not_called_solved():
     solution = jc.solve(linear(cost=jc.QuadraticCost(Q=1.0, Qf=1.0)), jc.BoundaryValue(), X0)
     assert not solution.status.ok and np.isfinite(solution.xs).all()
@@ -270,7 +299,7 @@ def test_what_has_no_boundary_value_problem_is_refused():
     ):
         with pytest.raises(ValueError, match=match):
             jc.solve(problem, jc.BoundaryValue(), X0)
-    for arguments in ({"tol": 0.0}, {"max_nodes": 3}, {"max_nodes": 10.0}):
+    for arguments in ({"tol": 0.0}, {"tol": None}, {"max_nodes": 3}, {"max_nodes": 10.0}):
         with pytest.raises(ValueError, match=next(iter(arguments))):
             jc.BoundaryValue(**arguments)  # pyright: ignore[reportArgumentType]
 

@@ -104,6 +104,7 @@ class Benchmark:
                 f"{solver:<8}{dtype:<9}{run.iterations:>10}{f'{run.fewest} to {run.most}':>13}"
                 f"{self.excess(run.cost):>15.1e}  {run.status}"
             )
+        lines.append("float32 stops within looser tolerances, hence after fewer iterations")
         lines.append("recorded with " + ", ".join(f"{k} {v}" for k, v in self.made_with.items()))
         return "\n".join(lines)
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .._cost import AbstractCost, QuadraticCost
+from .._integrate import AbstractIntegrator
 from .._noise import SignalDependentNoise
 from .._plant import AbstractArm, AbstractHand, AbstractPlant
 from .._problem import Problem, check_array, is_concrete
@@ -24,11 +25,14 @@ from ._costs import (
 )
 
 
-def _problem(plant, cost: AbstractCost, duration, num_steps, effort, motor_noise) -> Problem:
+def _problem(
+    plant, cost: AbstractCost, duration, num_steps, effort, motor_noise, integrator
+) -> Problem:
     check_weights(effort=effort, motor_noise=motor_noise)
     num_steps, dt = grid(duration, num_steps)
     noise = None if motor_noise is None else SignalDependentNoise(motor_noise)
-    return Problem(plant, cost + Effort(effort), num_steps=num_steps, dt=dt, noise=noise)
+    cost = cost + Effort(effort)
+    return Problem(plant, cost, num_steps=num_steps, dt=dt, noise=noise, integrator=integrator)
 
 
 def reach(
@@ -41,6 +45,7 @@ def reach(
     velocity_weight: ArrayLike = 0.01,
     effort: ArrayLike = 1e-4,
     motor_noise: ArrayLike | None = None,
+    integrator: AbstractIntegrator | None = None,
 ) -> Problem:
     """Bring the hand to a target and stop there.
 
@@ -54,6 +59,7 @@ def reach(
         position_weight, velocity_weight: w1 [1/m^2] and w2 [s^2/m^2]; 1 and 0.01 are our choice.
         effort: r, weight of the squared control per second; 1e-4 as in Li (2006), eq. 4.20.
         motor_noise: intensity [s^(1/2)] of `SignalDependentNoise`; none by default.
+        integrator: as in `Problem`; explicit Euler by default.
 
     Returns: `Problem`. Raises ValueError or TypeError naming the argument that does not fit.
     """
@@ -67,6 +73,7 @@ def reach(
         velocity_weight=velocity_weight,
         effort=effort,
         motor_noise=motor_noise,
+        integrator=integrator,
     )
 
 
@@ -81,6 +88,7 @@ def hit(
     velocity_weight: ArrayLike = 0.01,
     effort: ArrayLike = 1e-4,
     motor_noise: ArrayLike | None = None,
+    integrator: AbstractIntegrator | None = None,
 ) -> Problem:
     """Bring the hand to a target with a given velocity, as in hitting a ball.
 
@@ -97,7 +105,7 @@ def hit(
         position_weight,
         velocity_weight,
     )
-    return _problem(plant, cost, duration, num_steps, effort, motor_noise)
+    return _problem(plant, cost, duration, num_steps, effort, motor_noise, integrator)
 
 
 def posture(
@@ -109,6 +117,7 @@ def posture(
     num_steps: int | None = None,
     effort: ArrayLike = 1e-4,
     motor_noise: ArrayLike | None = None,
+    integrator: AbstractIntegrator | None = None,
 ) -> Problem:
     """Bring the joints to given angles.
 
@@ -119,7 +128,7 @@ def posture(
         angles: theta* [rad], shape (num_joints,).
         stop: whether to have the second term. The thesis's text demands it and its formula lacks
             it: `stop=False` gives the formula as printed.
-        duration, num_steps, effort, motor_noise: as in `reach`.
+        duration, num_steps, effort, motor_noise, integrator: as in `reach`.
 
     Returns: `Problem`. Raises as `reach` does.
     """
@@ -127,7 +136,7 @@ def posture(
         raise TypeError(f"plant: one with joints is wanted, got {type(plant).__name__}")
     angles = check_array("angles", angles, (plant.num_joints,))
     cost = PostureTarget(angles, velocity_weight=1.0 if stop else 0.0)
-    return _problem(plant, cost, duration, num_steps, effort, motor_noise)
+    return _problem(plant, cost, duration, num_steps, effort, motor_noise, integrator)
 
 
 def swing_up(
@@ -137,6 +146,7 @@ def swing_up(
     num_steps: int | None = None,
     effort: ArrayLike = 1e-5,
     motor_noise: ArrayLike | None = None,
+    integrator: AbstractIntegrator | None = None,
 ) -> Problem:
     """Bring the whole state to zero, as in swinging a pendulum up.
 
@@ -146,11 +156,13 @@ def swing_up(
         plant: one whose wanted end is x = 0, such as `Pendulum`.
         duration: T [s]; 4 s is our choice.
         effort: r [1/(control unit^2 s)]; 1e-5 as in the thesis.
-        num_steps, motor_noise: as in `reach`.
+        num_steps, motor_noise, integrator: as in `reach`.
 
     Returns: `Problem`. Raises as `reach` does.
     """
-    return _problem(plant, QuadraticCost(Qf=1.0), duration, num_steps, effort, motor_noise)
+    return _problem(
+        plant, QuadraticCost(Qf=1.0), duration, num_steps, effort, motor_noise, integrator
+    )
 
 
 def obstacle(
@@ -239,6 +251,7 @@ def track(
     path_weight: ArrayLike = 10.0,
     effort: ArrayLike = 1e-4,
     motor_noise: ArrayLike | None = None,
+    integrator: AbstractIntegrator | None = None,
 ) -> Problem:
     """Follow a path in time with the hand.
 
@@ -253,7 +266,7 @@ def track(
             (2,), and is sampled at the grid points. Start the hand where the path starts.
         duration: T [s].
         path_weight: w [1/(m^2 s)]; 10 is our choice.
-        num_steps, effort, motor_noise: as in `reach`.
+        num_steps, effort, motor_noise, integrator: as in `reach`.
 
     Returns: `Problem`. Raises as `reach` does.
     """
@@ -270,7 +283,7 @@ def track(
     points = check_array("path", path, shape)
     check_reach(plant, "path", points)
     cost = HandPath(points, duration, path_weight, path_weight * dt)
-    return _problem(plant, cost, duration, num_steps, effort, motor_noise)
+    return _problem(plant, cost, duration, num_steps, effort, motor_noise, integrator)
 
 
 def limit_joints(

@@ -143,6 +143,23 @@ def test_tasks_with_known_numbers_may_be_built_under_jit(arm):
     np.testing.assert_allclose(build(1e-4), 0.15)
 
 
+def test_tasks_hand_their_integrator_on(arm, x0):
+    path, step = jnp.tile(TARGET, (3, 1)), jc.RK4()
+    for problem in (
+        jc.tasks.reach(arm, TARGET, integrator=step),
+        jc.tasks.hit(arm, TARGET, jnp.zeros(2), integrator=step),
+        jc.tasks.posture(arm, [1.5, 0.5], integrator=step),
+        jc.tasks.swing_up(jc.plants.Pendulum(), integrator=step),
+        jc.tasks.obstacle(arm, TARGET, (1.0, 1.0), 0.1, integrator=step),
+        jc.tasks.via(arm, TARGET, TARGET[None], [0.2], integrator=step),
+        jc.tasks.track(arm, path, 0.5, integrator=step),
+        jc.tasks.centre_out(arm, x0, integrator=step),
+    ):
+        assert isinstance(problem.integrator, jc.RK4)
+    with pytest.raises(ValueError, match="integrator: NextState"):
+        jc.tasks.reach(arm, TARGET, integrator=jc.NextState())
+
+
 def test_centre_out_is_a_batch_that_equals_single_reaches(arm, x0):
     problems = jc.tasks.centre_out(arm, x0, n=4, radius=0.1, duration=0.5)
     batch = jax.vmap(lambda p: jc.solve(p, jc.ILQR(), x0))(problems)

@@ -43,6 +43,14 @@ def _rivals(one: xarray.Dataset, level: int) -> list[tuple[float, str]]:
     )
 
 
+def _ties(one: xarray.Dataset, level: int) -> list[str]:
+    """Return the rivals whose times differ from ILQR's by no more than the two spreads."""
+    times, spread = one.seconds.isel(near=level), one.spread.isel(near=level)
+    gap = np.abs(times - times.sel(solver="ILQR"))
+    close = gap <= spread + spread.sel(solver="ILQR")
+    return [str(m) for m in one.solver.values if m != "ILQR" and bool(close.sel(solver=m))]
+
+
 def _times(one: xarray.Dataset, level: int) -> str:
     """Say how long each method takes, or that it never comes so near."""
     words = []
@@ -79,9 +87,12 @@ def _fastest(one: xarray.Dataset, thesis: Mapping[str, tuple[float, float]], nam
     near = float(one.near.values[level])
     nearest = f"nearest {rivals[0][1]} at {rivals[0][0]:.2g}x; " if rivals else "no rival comes; "
     note = "" if level == one.sizes["near"] - 1 else f"ILQR comes no nearer than {near:g}."
-    holds = all(ratio > 1 for ratio, _ in rivals)
-    if not holds:
+    faster, ties = any(ratio < 1 for ratio, _ in rivals), _ties(one, level)
+    if ties:
+        note = f"{note} Within the spread of the times as fast: {', '.join(ties)}.".strip()
+    if faster:
         note = f"{note} The rivals are today's, compiled as ILQR is.".strip()
+    holds = not (faster or ties)
     measured = f"within {near:g} of the best: {nearest}{_times(one, level)}"
     return Claim(statement, source, expected, measured, holds, note)
 

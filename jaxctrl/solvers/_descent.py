@@ -149,6 +149,7 @@ def _search(problem: Problem, state: DescentState, solver: "AbstractDescent") ->
     point = Point(state.us, g, weight, _movable(state.us, g, bounds), scale)
     direction, first, memory = solver._direction(point, state)
     d = jnp.where(point.free & _movable(state.us, -direction, bounds), direction, 0.0)
+    first = jnp.minimum(first, _longest(scale, jnp.sum(g * d)))
 
     def value(params):
         # The gradient in `us` gives the slope along the arc; that in `shift`, which is and stays
@@ -190,6 +191,15 @@ def as_before(state: DescentState, slope: Array, otherwise: Array) -> Array:
     """
     known = (state.predicted < 0) & (slope < 0)
     return jnp.where(known, state.predicted / jnp.where(known, slope, 1.0), otherwise)
+
+
+def _longest(scale: Array, slope: Array) -> Array:
+    """Return the step that would be the best if the cost were a parabola that touches zero there.
+
+    No longer one is tried first: far from the optimum it may leap into another region, out of
+    which nothing leads (Nocedal & Wright 2006, eq. 3.60, with zero for what is to be reached).
+    """
+    return jnp.where(slope < 0, -2 * scale / jnp.where(slope < 0, slope, -1.0), 1.0)
 
 
 def _measure(problem: Problem, x0: Array, us: Array) -> Measured:

@@ -323,3 +323,17 @@ def test_float32_reaches_the_float64_cost(solver, float32):
     with jax.enable_x64(True):
         wanted = jc.solve(swing(), jc.ILQR(), jnp.array([2.5, 0.0])).cost
     np.testing.assert_allclose(solution.cost, wanted, rtol=1e-3)
+
+
+@each(jc.LBFGS())
+def test_the_first_step_does_not_leap_out_of_the_basin(solver):
+    # The curvature at the start is a thousandth of the slope: its step would end near x = -900,
+    # where the cost is lower than at the start, but flat.
+    def terminal(x):
+        s = jnp.sqrt(x[0] ** 2 + 1e-3)
+        return s * jax.nn.sigmoid(20 - s) + 0.5 * (1 - jnp.exp(-((x[0] / 100) ** 2)))
+
+    plant = jc.FunctionPlant(lambda x, u, t: x + u, nx=1, nu=1, discrete=True)
+    problem = jc.Problem(plant, jc.FunctionCost(terminal=terminal), num_steps=1)
+    solution = jc.solve(problem, solver, jnp.ones(1))
+    assert solution.status.ok and abs(float(solution.xs[-1, 0])) < 1e-4

@@ -80,6 +80,8 @@ def _curves(case: Case, method, uss, config: Config) -> np.ndarray:
         spaced = np.geomspace(1, max(count, 1), config.points - 1).round()
         iterates = np.unique(np.concatenate([[0.0], spaced]))
         taken = np.median(times_to(case, solver, us, iterates.tolist(), config.repeats), axis=0)
+        # Each iterate is timed by itself; none is reached before an earlier one.
+        taken = np.maximum.accumulate(taken)
         cost = np.asarray(found.history.cost[lane])[iterates.astype(int)]
         curves[lane, : iterates.size] = np.stack([taken, cost, iterates], axis=1)
     return curves

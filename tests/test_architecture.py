@@ -52,7 +52,7 @@ WITHIN = {
     6: ["experiments", "bench"],
 }
 SOLVERS = [
-    "_abstract", "_judging", "line_search", "shooting", "ilqr", "ddp", "_descent",
+    "_judging", "_abstract", "line_search", "shooting", "ilqr", "ddp", "_descent",
     "conjugate_gradient", "lbfgs", "_solution", "_hamiltonian", "_collocation", "boundary_value",
     "_adjoint", "_solve",
     "_batch", "_check_gradients",

@@ -57,6 +57,4 @@ class ConjugateGradient(AbstractDescent):
         falls = (jnp.sum(g * d) < 0) & ~state.fresh
         d = jnp.where(falls, d, -down)
         slope = jnp.sum(g * d)
-        # The first step of all is at most a unit long in D.
-        unit = 1 / jnp.sqrt(jnp.maximum(-slope / point.scale, 1.0))
-        return d, as_before(state, slope, unit), _Last(point.gradient, d)
+        return d, as_before(state, slope, jnp.ones_like(slope)), _Last(point.gradient, d)

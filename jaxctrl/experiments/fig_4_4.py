@@ -176,7 +176,9 @@ def figure(result: Result) -> Figure:
             _draw_fractions(axes[row, -1], data, row)
     with plot.style():
         axes[0, 0].legend(loc="upper right")
-        axes[1, -1].legend(loc="center right", bbox_to_anchor=(1.0, 0.62))
+        axes[0, -1].legend(
+            loc="lower left", frameon=True, framealpha=1.0, edgecolor="none", borderaxespad=0.2
+        )
     return fig
 
 
@@ -205,8 +207,8 @@ def _draw_fractions(ax: Axes, data: xarray.Dataset, row: int) -> None:
             amplitude, fractions[row], (low, high), marker=marker, markersize=size, capsize=2,
             label=f"within {near:g}",
         )  # fmt: skip
-    ax.axhline(0.5, color="0.6", linestyle=":", zorder=0)
-    ax.axvline(amplitude[REFERENCE], color="0.85", zorder=0)
+    ax.axhline(0.5, color="0.6", linestyle=":", zorder=0, label="thesis, \u201chalf\u201d")
+    ax.axvline(amplitude[REFERENCE], color="0.85", zorder=0, label="starts of the paths")
     ax.set_xscale("log")
     ax.set_ylim(-0.03, 1.05)
     ax.set_xlabel(

@@ -71,18 +71,27 @@ def expand(
     for k, weight in weights:
         p = p.at[k].add(weight)
 
-    def slope(z, p, rho, t):
-        def weighted(z):
-            value = jnp.sum(p * step(z, t))
-            return value + jnp.sum(rho * residual(z, t)) if rho.size else value
-
-        return jax.grad(weighted)(z)
-
     def exact():
-        return lzz + jax.vmap(jacobian(slope, symmetric=True))(zs, p, rho, ts)
+        return lzz + _curvature(problem, zs, ts, p, rho)
 
     lzz = exact() if second_order is True else jax.lax.cond(second_order, exact, lambda: lzz)
     return _blocks(fz, lz, lzz, vx, vxx)
+
+
+def _curvature(problem: Problem, zs, ts, p, rho):
+    """Return p' f_zz + rho' rho_zz, shape (T, nz, nz)."""
+    nx = problem.plant.nx
+
+    def slope(z, p, rho, t):
+        def weighted(z):
+            x, u = z[:nx], z[nx:]
+            after = problem.step(x, u, t)
+            value = jnp.sum(p * after)
+            return value + jnp.sum(rho * problem.residual(x, u, after)) if rho.size else value
+
+        return jax.grad(weighted)(z)
+
+    return jax.vmap(jacobian(slope, symmetric=True))(zs, p, rho, ts)
 
 
 def _running_terms(problem: Problem, zs, ts):

@@ -210,20 +210,26 @@ def held_lqr(
     swept = jax.lax.scan(back, start, stages, reverse=True)[1]
     k, Qu, Qux, Quu, K, gradient, ok, finite = swept
 
+    dxs, dus, slope = _held_forth(model, free, k, K, (Qu, Qux, Quu))
+    curvature = jnp.diagonal(Quu, axis1=1, axis2=2)
+    return Held(dxs, dus, slope, K, gradient, curvature, ok, finite)
+
+
+def _held_forth(model: LocalModel, free, k, K, action):
+    """Roll the linear model out from 0 under k and K; return states, controls and the slopes of the
+    action's model, (Qu, Qux, Quu), in what is held."""
+
     def forth(dx, stage):
-        fx, fu, k, Qu, Qux, Quu, K, free = stage
+        fx, fu, k, K, Qu, Qux, Quu, free = stage
         du = k + matmul(K, dx)
         slope = jnp.where(free, 0.0, Qu + matmul(Qux, dx) + matmul(Quu, du))
         after = matmul(fx, dx) + matmul(fu, du)
         return after, (after, du, slope)
 
     origin = jnp.zeros_like(model.vx)
-    _, (dxs, dus, slope) = jax.lax.scan(
-        forth, origin, (model.fx, model.fu, k, Qu, Qux, Quu, K, free)
-    )
-    dxs = jnp.concatenate([origin[None], dxs])
-    curvature = jnp.diagonal(Quu, axis1=1, axis2=2)
-    return Held(dxs, dus, slope, K, gradient, curvature, ok, finite)
+    stages = (model.fx, model.fu, k, K, *action, free)
+    _, (dxs, dus, slope) = jax.lax.scan(forth, origin, stages)
+    return jnp.concatenate([origin[None], dxs]), dus, slope
 
 
 class FreeLQR(NamedTuple):

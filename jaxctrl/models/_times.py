@@ -107,15 +107,7 @@ def optimise_times(
         raise ValueError("duration, passing: at least one is wanted, or no time is free")
     if passing and not given.size:
         raise ValueError("passing: the problem has no via-points whose times could be free")
-    pair = (start, start) if duration is None else duration
-    if np.shape(pair) != (2,) or not 0 < pair[0] <= pair[1] < np.inf:
-        raise ValueError(f"duration: a pair 0 < low <= high [s] is wanted, got {duration}")
-    low, high = pair
-    if not passing and given.size and given.max() > high:
-        raise ValueError(
-            f"duration: a via-point is passed at {given.max():g} s, after the largest duration, "
-            f"{high:g} s; free the passing times too"
-        )
+    low, high = _range(duration, start, np.zeros(0) if passing else given)
     search = _Search(problem, solver, x0, us, jnp.asarray(price, x0.dtype), given, passing)
     begin = np.concatenate([[np.clip(start, low, high)], given[: given.size * passing]])
     try:
@@ -131,6 +123,19 @@ def optimise_times(
     except _Failed as error:
         return search.result(False, f"a solve on the way failed: {error}")
     return search.result(bool(found.success), found.message + search.remarks(low, high, passing))
+
+
+def _range(duration, now: float, fixed: np.ndarray) -> tuple[float, float]:
+    """Return the least and largest duration [s], checked against passing times that stay."""
+    pair = (now, now) if duration is None else duration
+    if np.shape(pair) != (2,) or not 0 < pair[0] <= pair[1] < np.inf:
+        raise ValueError(f"duration: a pair 0 < low <= high [s] is wanted, got {duration}")
+    if fixed.size and fixed.max() > pair[1]:
+        raise ValueError(
+            f"duration: a via-point is passed at {fixed.max():g} s, after the largest duration, "
+            f"{pair[1]:g} s; free the passing times too"
+        )
+    return pair
 
 
 class _Failed(Exception):

@@ -1,7 +1,9 @@
 """What the comparisons of chapter 4 of Li (2006) share: problems, methods, random starts, times."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -21,6 +23,8 @@ TARGET = np.array([1.0, 1.5])
 START = (1.5, 1.5)
 SMOOTHING = 0.025
 """Standard deviation in time of the filter that makes random controls smooth [s]."""
+BLOCK = 5e-3
+"""What is timed is repeated until it takes this long [s]."""
 
 
 class Case(NamedTuple):
@@ -95,20 +99,41 @@ def seconds(call: Callable[[], Any]) -> float:
     return time.perf_counter() - begin
 
 
-def times_to(
-    case: Case, solver: AbstractSolver, us: jax.Array, iterates: Sequence[float], repeats: int
-) -> np.ndarray:
-    """Return the warm times [s] from the start to each of the iterates, shape (repeats, n).
+def timed(case: Case, solver: AbstractSolver) -> Callable[..., jax.Array]:
+    """Return a compiled function of (us, limit, count): solve `count` times, to iterate `limit`.
 
-    The iterates are reached inside one compiled loop. They are timed in turns, so that what
-    disturbs the machine disturbs all alike.
+    The solves follow one another inside: shared out among many, what the call itself takes, several
+    iterations of a small problem, does not count. It returns the cost, shape ().
     """
+    arrays, static = eqx.partition((case, solver), eqx.is_array)
+    leaves, tree = jax.tree.flatten(arrays)
 
-    def call(limit):
-        return iterate(case, solver, us, jnp.asarray(int(limit)), None)
+    @jax.jit
+    def repeated(leaves, us, limit, count):
+        case, solver = eqx.combine(jax.tree.unflatten(tree, leaves), static)
 
-    jax.block_until_ready(call(0))
-    return np.array([[seconds(lambda: call(i)) for i in iterates] for _ in range(repeats)])  # noqa: B023
+        def body(_, cost):  # which each needs from the last: none can be left out
+            return iterate(case, solver, us + 0 * cost, limit, None)[0]
+
+        return jax.lax.fori_loop(0, count, body, jnp.zeros((), us.dtype))
+
+    return partial(repeated, leaves)
+
+
+def in_turns(calls: Sequence[Callable[[int], Any]], repeats: int) -> np.ndarray:
+    """Return the warm times [s] of calls that do something as often as told: (repeats, calls).
+
+    They are timed in turns, so that what disturbs the machine disturbs all alike.
+    """
+    counts = []
+    for call in calls:
+        jax.block_until_ready(call(1))
+        counts.append(math.ceil(BLOCK / seconds(partial(call, 1))))
+    blocks = [
+        [seconds(partial(call, n)) / n for call, n in zip(calls, counts, strict=True)]
+        for _ in range(repeats)
+    ]
+    return np.array(blocks)
 
 
 def first_within(costs: np.ndarray, best: float, near: Sequence[float]) -> list[float]:

@@ -1,5 +1,6 @@
 """The solves of table 4.1, timed."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,7 +13,7 @@ from ..solvers._abstract import AbstractDirectSolver, AbstractSolver
 from ..solvers._batch import best as best_of, solve_batch
 from ..solvers._solution import Solution
 from ..solvers._solve import solve
-from ._chapter_4 import Case, first_within, iterate, random_controls, seconds, times_to
+from ._chapter_4 import Case, first_within, in_turns, iterate, random_controls, seconds, timed
 
 METHODS = {
     "ILQR": ILQR,
@@ -54,7 +55,8 @@ def measure(case: Case, config: Any) -> tuple[list[Row], float, tuple[float, flo
     solutions = [solution for solution, _ in first.values()]
     costs = [float(each.cost) for each in (*solutions, found, polished)]
     best = min(cost for cost in costs if np.isfinite(cost))
-    rows = [_row(case, METHODS[name](), *first[name], best, config) for name in METHODS]
+    iterates, times = _times(case, first, best, config)
+    rows = [_row(*first[name], iterates[name], times[name]) for name in METHODS]
     cost, count = iterate(case, ILQR(), us, config.max_steps, _undamp)
     return rows, best, (float(cost) / best - 1, float(count))
 
@@ -72,27 +74,39 @@ def _first(case: Case, solver: AbstractSolver, config: Any) -> tuple[Solution, f
     return found[0], taken
 
 
-def _row(
-    case: Case, solver: AbstractSolver, solution: Solution, first: float, best: float, config: Any
-) -> Row:
-    """Time how soon a solver comes near the best cost: by its history, or by its end."""
-    cost = float(solution.cost)
-    if isinstance(solver, AbstractDirectSolver):
-        iterates = [np.nan] * len(NEAR)
-        reached = np.array([cost <= best * (1 + near) for near in NEAR])
-        calls = range(1 if first > LONG else min(3, config.repeats))
-        taken = [[seconds(lambda: solve(case.problem, solver, case.x0).cost)] for _ in calls]
-        times = np.where(reached, np.array(taken), np.nan)
-    else:
-        iterates = first_within(np.asarray(solution.history.cost), best, NEAR)
-        reached = ~np.isnan(iterates)
-        times = np.full((config.repeats, len(NEAR)), np.nan)
-        limits = [i for i in iterates if not np.isnan(i)]
-        us = case.problem.nominal_controls
-        times[:, reached] = times_to(case, solver, us, limits, config.repeats)
+def _times(
+    case: Case, first: dict[str, tuple[Solution, float]], best: float, config: Any
+) -> tuple[dict[str, list[float]], dict[str, np.ndarray]]:
+    """Time how soon the methods come near the best cost: by their histories, or by their ends.
+
+    Returns, by method, the iterates (NEAR,), and the times [s] (repeats, NEAR); NaN where it does
+    not come.
+    """
+    iterates, times, calls, places = {}, {}, [], []
+    for name, (solution, taken) in first.items():
+        solver = METHODS[name]()
+        if isinstance(solver, AbstractDirectSolver):
+            iterates[name] = [np.nan] * len(NEAR)
+            again = range(1 if taken > LONG else min(3, config.repeats))
+            whole = [[seconds(lambda: solve(case.problem, solver, case.x0).cost)] for _ in again]  # noqa: B023
+            reached = float(solution.cost) <= best * (1 + np.array(NEAR))
+            times[name] = np.where(reached, np.array(whole), np.nan)
+        else:
+            iterates[name] = first_within(np.asarray(solution.history.cost), best, NEAR)
+            times[name] = np.full((config.repeats, len(NEAR)), np.nan)
+            near = np.flatnonzero(~np.isnan(iterates[name]))
+            to, us = timed(case, solver), case.problem.nominal_controls
+            calls += [partial(to, us, int(iterates[name][i])) for i in near]
+            places += [(name, i) for i in near]
+    for (name, i), column in zip(places, in_turns(calls, config.repeats).T, strict=True):
+        times[name][:, i] = column
+    return iterates, times
+
+
+def _row(solution: Solution, first: float, iterates: list[float], times: np.ndarray) -> Row:
     quarter, half, three = np.percentile(times, (25, 50, 75), axis=0)
     return Row(
-        cost=cost,
+        cost=float(solution.cost),
         status=solution.status.name,
         steps=int(solution.num_steps),
         seconds=half.tolist(),

@@ -1,5 +1,7 @@
 """What the comparisons of chapter 4 are built of, and how their claims are judged."""
 
+import time
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -40,7 +42,26 @@ def test_the_timed_loop_passes_through_the_iterates_of_solve():
         at = min(i, int(solution.num_steps))
         assert int(count) == at
         assert float(cost) == pytest.approx(float(solution.history.cost[at]), rel=1e-12)
-    assert chapter.times_to(case, jc.ILQR(), us, [0.0, 3.0], 2).shape == (2, 2)
+        for times in (1, 3):
+            assert float(chapter.timed(case, jc.ILQR())(us, i, times)) == float(cost)
+
+
+def test_calls_are_timed_in_turns_and_none_for_the_first_time():
+    made = []
+
+    def slow(count):
+        made.append(("slow", count))
+        time.sleep(0.02 * count)
+
+    def fast(count):
+        made.append(("fast", count))
+        time.sleep(0.001 * count)
+
+    times = chapter.in_turns([slow, fast], 3)
+    assert [name for name, _ in made] == ["slow"] * 2 + ["fast"] * 2 + ["slow", "fast"] * 3
+    assert times.shape == (3, 2) and (times >= [0.02, 0.001]).all()
+    counts = dict(made)
+    assert counts["slow"] == 1 and 1 < counts["fast"] <= 5
 
 
 def test_the_first_iterate_within_a_tolerance_is_found():

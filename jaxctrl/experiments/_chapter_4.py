@@ -123,17 +123,19 @@ def timed(case: Case, solver: AbstractSolver) -> Callable[..., jax.Array]:
 def in_turns(calls: Sequence[Callable[[int], Any]], repeats: int) -> np.ndarray:
     """Return the warm times [s] of calls that do something as often as told: (repeats, calls).
 
-    They are timed in turns, so that what disturbs the machine disturbs all alike.
+    They are timed in turns, so that what disturbs the machine disturbs all alike, each after a call
+    of its own that fetches into the caches what the others have displaced.
     """
     counts = []
     for call in calls:
         jax.block_until_ready(call(1))
         counts.append(math.ceil(BLOCK / seconds(partial(call, 1))))
-    blocks = [
-        [seconds(partial(call, n)) / n for call, n in zip(calls, counts, strict=True)]
-        for _ in range(repeats)
-    ]
-    return np.array(blocks)
+    times = np.empty((repeats, len(calls)))
+    for turn in range(repeats):
+        for i, (call, count) in enumerate(zip(calls, counts, strict=True)):
+            jax.block_until_ready(call(1))
+            times[turn, i] = seconds(partial(call, count)) / count
+    return times
 
 
 def first_within(costs: np.ndarray, best: float, near: Sequence[float]) -> list[float]:

@@ -58,7 +58,8 @@ def test_calls_are_timed_in_turns_and_none_for_the_first_time():
         time.sleep(0.001 * count)
 
     times = chapter.in_turns([slow, fast], 3)
-    assert [name for name, _ in made] == ["slow"] * 2 + ["fast"] * 2 + ["slow", "fast"] * 3
+    pair = ["slow"] * 2 + ["fast"] * 2
+    assert [name for name, _ in made] == pair * 4
     assert times.shape == (3, 2) and (times >= [0.02, 0.001]).all()
     counts = dict(made)
     assert counts["slow"] == 1 and 1 < counts["fast"] <= 5

@@ -1,7 +1,5 @@
 """What the comparisons of chapter 4 are built of, and how their claims are judged."""
 
-import time
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -37,32 +35,29 @@ def test_the_timed_loop_passes_through_the_iterates_of_solve():
     case = chapter.arm_case("torque", 30)
     us = case.problem.nominal_controls
     solution = jc.solve(case.problem, jc.ILQR(), case.x0)
+    repeated = chapter.timed(case, jc.ILQR())
     for i in (0, 2, int(solution.num_steps), 100):
         cost, count = chapter.iterate(case, jc.ILQR(), us, jnp.asarray(i), None)
         at = min(i, int(solution.num_steps))
         assert int(count) == at
         assert float(cost) == pytest.approx(float(solution.history.cost[at]), rel=1e-12)
         for times in (1, 3):
-            assert float(chapter.timed(case, jc.ILQR())(us, i, times)) == float(cost)
+            assert float(repeated(us, i, times)) == float(cost)
 
 
-def test_calls_are_timed_in_turns_and_none_for_the_first_time():
+def test_calls_are_timed_in_turns_and_none_for_the_first_time(monkeypatch):
     made = []
 
-    def slow(count):
-        made.append(("slow", count))
-        time.sleep(0.02 * count)
+    def lasting(name, unit):
+        return lambda count: made.append((name, count)) or unit * count
 
-    def fast(count):
-        made.append(("fast", count))
-        time.sleep(0.001 * count)
-
-    times = chapter.in_turns([slow, fast], 3)
-    pair = ["slow"] * 2 + ["fast"] * 2
-    assert [name for name, _ in made] == pair * 4
-    assert times.shape == (3, 2) and (times >= [0.02, 0.001]).all()
-    counts = dict(made)
-    assert counts["slow"] == 1 and 1 < counts["fast"] <= 5
+    # A clock that believes what calls say.
+    monkeypatch.setattr(chapter, "seconds", lambda call: call())
+    times = chapter.in_turns([lasting("slow", 0.02), lasting("fast", 0.001)], 3)
+    first = [("slow", 1)] * 2 + [("fast", 1)] * 2
+    turn = [("slow", 1), ("slow", 1), ("fast", 1), ("fast", 5)]
+    assert made == first + turn * 3
+    assert times == pytest.approx(np.tile([0.02, 0.001], (3, 1)))
 
 
 def test_the_first_iterate_within_a_tolerance_is_found():
@@ -136,7 +131,7 @@ def test_claims_fail_when_a_rival_is_ahead_or_ilqr_never_arrives():
 
 
 def test_a_tie_is_no_lead():
-    # Within the spreads, or within what times differ from run to run.
+    # Within the spreads, or within a fifth.
     for rival, spread, holds in (
         (0.00115, 0.01, False),
         (0.00125, 0.01, True),
@@ -145,7 +140,10 @@ def test_a_tie_is_no_lead():
         data = made_up([[0.001] * 3, [rival] * 3, NEVER, NEVER, NEVER], [1.0] * 5)
         data["spread"] = spread * data.seconds
         claim = judged(data)["ILQR is the fastest: torque arm"]
-        assert claim.holds == holds and ("as far as runs repeat: DDP" in claim.note) != holds
+        assert (
+            claim.holds == holds
+            and ("No lead, within the spreads or a fifth: DDP" in claim.note) != holds
+        )
 
 
 def test_claims_take_the_tightest_tolerance_that_ilqr_reaches():

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
         problems as problems,
         tasks as tasks,
     )
+    from ._batch import best as best, solve_batch as solve_batch
+    from ._check_gradients import (
+        GradientReport as GradientReport,
+        check_gradients as check_gradients,
+    )
     from ._controller import (
         AbstractController as AbstractController,
         AffinePolicy as AffinePolicy,
@@ -54,6 +59,8 @@ if TYPE_CHECKING:
     )
     from ._problem import Problem as Problem
     from ._simulate import Trajectory as Trajectory, simulate as simulate
+    from ._solution import Solution as Solution, SolveError as SolveError
+    from ._solve import solve as solve
     from ._status import Reason as Reason, Status as Status
     from ._types import LocalModel as LocalModel
     from .models._compare import compare as compare
@@ -69,13 +76,6 @@ if TYPE_CHECKING:
         Record as Record,
         Tolerances as Tolerances,
     )
-    from .solvers._batch import best as best, solve_batch as solve_batch
-    from .solvers._check_gradients import (
-        GradientReport as GradientReport,
-        check_gradients as check_gradients,
-    )
-    from .solvers._solution import Solution as Solution, SolveError as SolveError
-    from .solvers._solve import solve as solve
 
 # Imported at first use, so that the command line answers at once, without JAX.
 _WHERE = {
@@ -110,10 +110,10 @@ _WHERE = {
         "Record",
         "Tolerances",
     ),
-    "solvers._batch": ("best", "solve_batch"),
-    "solvers._check_gradients": ("GradientReport", "GradientRow", "check_gradients"),
-    "solvers._solution": ("Solution", "SolveError"),
-    "solvers._solve": ("solve",),
+    "_batch": ("best", "solve_batch"),
+    "_check_gradients": ("GradientReport", "GradientRow", "check_gradients"),
+    "_solution": ("Solution", "SolveError"),
+    "_solve": ("solve",),
 }
 _MODULES = ("analysis", "linear", "models", "plants", "plot", "problems", "tasks")
 _LAZY = {name: module for module, names in _WHERE.items() for name in names}

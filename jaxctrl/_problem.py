@@ -5,11 +5,11 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from ._checks import check_array, is_concrete
 from ._controller import clip
 from ._cost import AbstractCost, Events, step_costs
 from ._integrate import AbstractIntegrator, Euler, NextState
@@ -228,33 +228,6 @@ def _bounds_shape(bounds, nu: int, num_steps: int) -> tuple[int, ...]:
     pair = isinstance(bounds, tuple | list)  # what is none is refused by `as_bounds`
     per_step = pair and any(np.ndim(bound) == 2 for bound in bounds)
     return (num_steps, nu) if per_step else (nu,)
-
-
-def is_concrete(*arrays) -> bool:
-    """Tell whether no array is a tracer, so that its values may be looked at."""
-    return not any(isinstance(array, jax.core.Tracer) for array in arrays)
-
-
-def check_array(name: str, value: ArrayLike, shape: tuple[int, ...], hint: str = "") -> Array:
-    """Return `value` as a floating array of `shape`, finite where that can be known.
-
-    Raises ValueError (shape, non-finite) or TypeError (complex), naming the argument.
-    """
-    if value is None or (isinstance(value, Callable) and not hasattr(value, "shape")):
-        kind = "None" if value is None else f"the function {value!r}"
-        raise TypeError(f"{name}: an array of shape {shape} is wanted, got {kind}")
-    try:
-        array = array_leaf(value)
-    except TypeError as error:
-        raise TypeError(f"{name}: {error}") from None
-    if array.shape != shape:
-        raise ValueError(
-            f"{name}: got shape {array.shape}, wanted {shape}" + (hint and f"; {hint}")
-        )
-    if is_concrete(array) and not np.isfinite(np.asarray(array)).all():
-        bad = np.argwhere(~np.isfinite(np.asarray(array)))[0]
-        raise ValueError(f"{name}: not finite at index {tuple(int(i) for i in bad)}")
-    return array
 
 
 def check_x0(problem: Problem, x0: ArrayLike) -> Float[Array, " nx"]:

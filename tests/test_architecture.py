@@ -22,6 +22,7 @@ FLOORS = {
     "_types": 0,
     "_status": 0,
     "_linalg": 0,
+    "_checks": 0,
     "_cpu": 0,
     "_jacobian": 0,
     "_plant": 1,
@@ -37,25 +38,32 @@ FLOORS = {
     "tasks": 3,
     "plot": 3,
     "analysis": 3,
-    "solvers": 4,
-    "problems": 4,
-    "models": 5,
-    "experiments": 6,
-    "bench": 6,
-    "cli": 7,
-    "__main__": 8,
+    "_solver": 4,
+    "_solution": 4,
+    "_adjoint": 4,
+    "_solve": 4,
+    "_batch": 4,
+    "solvers": 5,
+    "_check_gradients": 5,
+    "problems": 5,
+    "models": 6,
+    "experiments": 7,
+    "bench": 7,
+    "cli": 8,
+    "__main__": 9,
 }
 # On one floor, a file may import one that comes earlier here.
 WITHIN = {
+    0: ["_version", "_types", "_status", "_linalg", "_checks", "_cpu", "_jacobian"],
     1: ["_plant", "_cost", "_noise", "_integrate", "_controller"],
     3: ["_simulate", "_local_model", "plants", "tasks"],
-    6: ["experiments", "bench"],
+    4: ["_solver", "_solution", "_adjoint", "_solve", "_batch"],
+    5: ["solvers", "_check_gradients", "problems"],
+    7: ["experiments", "bench"],
 }
 SOLVERS = [
-    "_judging", "_abstract", "line_search", "shooting", "ilqr", "ddp", "_descent",
-    "conjugate_gradient", "lbfgs", "_solution", "_hamiltonian", "_collocation", "boundary_value",
-    "_adjoint", "_solve",
-    "_batch", "_check_gradients",
+    "_judging", "_minimiser", "line_search", "shooting", "ilqr", "ddp", "_descent",
+    "conjugate_gradient", "lbfgs", "_hamiltonian", "_collocation", "boundary_value",
 ]  # fmt: skip
 
 

@@ -21,12 +21,12 @@ from matplotlib.figure import Figure
 
 from .. import analysis, plot
 from .._problem import Problem
+from .._solution import Solution
+from .._solve import solve
 from ..models import AbstractModel, MinimumEnergy, MinimumTorqueChange, Path, minimum_jerk
 from ..models._compare import hand_motion
 from ..plants import MuscleArm, TorqueArm
 from ..solvers import DDP, ILQR
-from ..solvers._solution import Solution
-from ..solvers._solve import solve
 from ..tasks import limit_joints, reach, track, via
 from ._result import Claim
 

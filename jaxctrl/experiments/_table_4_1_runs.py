@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._batch import best as best_of, solve_batch
+from .._solution import Solution
+from .._solve import solve
+from .._solver import AbstractDirectSolver, AbstractSolver
 from ..solvers import DDP, ILQR, LBFGS, BoundaryValue, ConjugateGradient
-from ..solvers._abstract import AbstractDirectSolver, AbstractSolver
-from ..solvers._batch import best as best_of, solve_batch
-from ..solvers._solution import Solution
-from ..solvers._solve import solve
 from ._chapter_4 import Case, first_within, in_turns, iterate, random_controls, seconds, timed
 
 METHODS = {

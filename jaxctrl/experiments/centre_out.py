@@ -18,9 +18,9 @@ from .. import plot
 from .._noise import SignalDependentNoise
 from .._plant import AbstractArm
 from .._simulate import simulate
+from .._solve import solve
 from ..plants import MuscleArm, TorqueArm
 from ..solvers import ILQR
-from ..solvers._solve import solve
 from ..tasks import centre_out
 from ._result import Claim, Result
 

@@ -16,12 +16,12 @@ import xarray
 from matplotlib.figure import Figure
 
 from .. import plot
+from .._batch import solve_batch
 from .._status import Reason
 from ..analysis import deviation
 from ..models import AbstractModel, MinimumEnergy, MinimumTorqueChange
 from ..plants import MuscleArm, TorqueArm
 from ..solvers import ILQR
-from ..solvers._batch import solve_batch
 from ..tasks import reach
 from ._result import Claim, Result
 

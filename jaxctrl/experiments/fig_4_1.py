@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 
 from .. import plot
 from .._problem import Problem
+from .._solve import solve
 from ..plants import MuscleArm, Pendulum, TorqueArm
 from ..solvers import ILQR
-from ..solvers._solve import solve
 from ..tasks import posture, swing_up
 from ._result import Claim, Result
 

@@ -15,9 +15,9 @@ import xarray
 from matplotlib.figure import Figure
 
 from .. import plot
+from .._solve import solve
 from ..plants import MuscleArm
 from ..solvers import ILQR
-from ..solvers._solve import solve
 from ..tasks import posture
 from ._result import Claim, Result
 

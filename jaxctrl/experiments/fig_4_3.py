@@ -16,8 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .. import plot
+from .._batch import solve_batch
 from ..solvers import DDP, ILQR, ConjugateGradient
-from ..solvers._batch import solve_batch
 from ._chapter_4 import Case, arm_case, in_turns, random_controls, timed
 from ._result import Claim, Result
 

@@ -21,9 +21,9 @@ from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
 from .. import plot
+from .._batch import solve_batch
+from .._solution import Solution
 from ..solvers import DDP, ILQR, AbstractSolver
-from ..solvers._batch import solve_batch
-from ..solvers._solution import Solution
 from ._chapter_4 import START, TARGET, Case, arm_case, random_controls
 from ._result import Claim, Result
 

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray
 
+from .._batch import solve_batch
 from .._cost import parts
 from .._integrate import RK4, AbstractIntegrator
 from .._plant import AbstractHand
@@ -25,7 +26,6 @@ from ..analysis import power_law_null
 from ..models import PolynomialJerkCost
 from ..plants import FreeHand, MuscleArm, PolynomialJerk, TorqueArm
 from ..solvers import ILQR
-from ..solvers._batch import solve_batch
 from ..tasks import Effort, track
 from . import _closed_paths as shapes
 from ._free_timing import ClosedPath, OfBody, OnPath, PathCost, StepOnPath

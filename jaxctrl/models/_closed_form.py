@@ -8,7 +8,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Array, ArrayLike, Float
 
-from .._problem import check_array, is_concrete
+from .._checks import check_array, is_concrete
 
 _POWERS = range(6)
 

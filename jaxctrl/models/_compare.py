@@ -10,11 +10,12 @@ from jaxtyping import ArrayLike
 from matplotlib.figure import Figure
 
 from .. import analysis, plot
+from .._checks import is_concrete
 from .._cost import parts
-from .._problem import Problem, is_concrete
+from .._problem import Problem
+from .._solution import Solution
+from .._solve import solve
 from ..solvers import DDP, AbstractSolver
-from ..solvers._solution import Solution
-from ..solvers._solve import solve
 from ..tasks import HandPath, HandTarget, Obstacle, ViaPoints
 from ._models import AbstractModel
 

@@ -14,10 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from .._checks import check_array, is_concrete
 from .._cost import AbstractCost, parts
 from .._jacobian import dependence
 from .._plant import AbstractArm, AbstractHand
-from .._problem import Problem, check_array, check_x0, is_concrete
+from .._problem import Problem, check_x0
 from .._types import array_leaf
 from ..plants import FreeHand, PolynomialJerk, RateControlled
 from ..tasks import (

@@ -10,11 +10,12 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Array, ArrayLike
 
+from .._checks import is_concrete
 from .._cost import SumCost
-from .._problem import Problem, check_us, check_x0, is_concrete
+from .._problem import Problem, check_us, check_x0
+from .._solution import Solution
+from .._solve import solve
 from ..solvers import AbstractSolver
-from ..solvers._solution import Solution
-from ..solvers._solve import solve
 from ..tasks import HandPath, ViaPoints
 
 GAP = 0.02

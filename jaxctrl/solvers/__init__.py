@@ -1,6 +1,6 @@
 """Solvers: one per file, all driven by `jaxctrl.solve`."""
 
-from ._abstract import (
+from .._solver import (
     AbstractDirectSolver as AbstractDirectSolver,
     AbstractSolver as AbstractSolver,
     Record as Record,

@@ -23,10 +23,10 @@ from .. import _status
 from .._controller import AffinePolicy, clip
 from .._local_model import expand
 from .._problem import Problem
+from .._solver import Record
 from .._status import Reason, Status
 from .._types import Bounds
 from ..linear import Sweep, box_lqr, lqr
-from ._abstract import AbstractMinimiser, Record
 from ._judging import (
     Tolerances,
     converged,
@@ -39,6 +39,7 @@ from ._judging import (
     rounding,
     start_status,
 )
+from ._minimiser import AbstractMinimiser
 
 TRIALS = 30
 """How many steps a line search may try."""

@@ -9,18 +9,19 @@ import numpy as np
 from jaxtyping import Array
 
 from .. import _status
+from .._checks import is_concrete
 from .._controller import AffinePolicy, clip
 from .._cost import step_costs
 from .._linalg import matmul
 from .._local_model import expand
-from .._problem import Problem, is_concrete
+from .._problem import Problem
+from .._solution import Solution, last_finite
+from .._solver import AbstractDirectSolver, Record
 from .._status import Reason, Status, first_nonfinite
 from ..linear import costates, factorise
-from ._abstract import AbstractDirectSolver, Record
 from ._collocation import Path, collocate, controls
 from ._hamiltonian import Hamiltonian
 from ._judging import cost_scale, input_status, projected_gradient, start_status
-from ._solution import Solution, last_finite
 from .line_search import rollout_law
 
 NODES = 41

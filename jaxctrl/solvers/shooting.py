@@ -9,9 +9,9 @@ from .. import _status
 from .._controller import AffinePolicy, clip
 from .._local_model import expand
 from .._problem import Problem
+from .._solver import Record
 from .._status import Reason, Status
 from ..linear import Sweep, box_lqr, find_engine, lqr
-from ._abstract import AbstractMinimiser, Record
 from ._judging import (
     Tolerances,
     converged,
@@ -23,6 +23,7 @@ from ._judging import (
     rounding,
     start_status,
 )
+from ._minimiser import AbstractMinimiser
 from .line_search import Trial, search
 
 LAM_FIRST, LAM_MIN, LAM_MAX = 1e-6, 1e-9, 1e10

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from .._checks import is_concrete
 from .._plant import AbstractHand, AbstractPlant
-from .._problem import is_concrete
 from .._types import array_leaf
 
 STEP = 0.01

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._checks import is_concrete
 from .._cost import AbstractCost, Events, quadratic_form
-from .._problem import is_concrete
 from .._types import array_leaf
 from ..plants import RateControlled
 

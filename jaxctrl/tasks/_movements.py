@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from .._checks import check_array, is_concrete
 from .._cost import AbstractCost, QuadraticCost
 from .._integrate import AbstractIntegrator
 from .._noise import SignalDependentNoise
 from .._plant import AbstractArm, AbstractHand, AbstractPlant
-from .._problem import Problem, check_array, is_concrete
+from .._problem import Problem
 from .._types import as_bounds
 from ._checks import check_hand, check_reach, check_weights, grid
 from ._costs import (

@@ -353,7 +353,7 @@ def test_a_hand_that_is_pushed_is_moved_by_every_model_of_its_arm(arm, x0):
 
 
 def test_another_number_does_not_compile_again(arm, x0):
-    from jaxctrl.solvers import _solve
+    from jaxctrl import _solve
 
     def solve(weight, target, time, duration):
         task = jc.tasks.via(arm, target, POINT, [time], duration, num_steps=STEPS)

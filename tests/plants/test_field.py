@@ -152,7 +152,7 @@ def test_a_fields_parameter_goes_through_jit_vmap_and_grad():
 
 
 def test_another_gain_does_not_compile_again():
-    from jaxctrl.solvers import _solve
+    from jaxctrl import _solve
 
     arm = TorqueArm()
     x0 = arm.at_rest(0.785, 1.571)

@@ -188,7 +188,7 @@ def test_changing_a_task_does_not_compile_again(arm, x0):
         )
         return jc.solve(problem, jc.ILQR(), x0)
 
-    from jaxctrl.solvers import _solve
+    from jaxctrl import _solve
 
     solve(TARGET, [[0.0, 0.5]], [0.2], 1e-4, 0.5)
     size = _solve.run_iteration._cached._cache_size()

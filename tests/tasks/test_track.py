@@ -113,7 +113,7 @@ def test_tracks_are_built_under_jit_and_differentiated_by_their_path(arm, x0, re
 
 
 def test_another_path_does_not_compile_again(arm, x0, reach):
-    from jaxctrl.solvers import _solve
+    from jaxctrl import _solve
 
     def solve(path, duration, weight):
         problem = jc.tasks.track(arm, path, duration, num_steps=STEPS, path_weight=weight)

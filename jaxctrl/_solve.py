@@ -8,15 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from .. import _status
-from .._controller import AffinePolicy
-from .._cost import parts, step_costs
-from .._problem import Problem, check_us, check_x0, is_concrete
-from .._status import Reason, Status
-from .._types import promote
-from ._abstract import AbstractDirectSolver, AbstractSolver
+from . import _status
 from ._adjoint import attach
+from ._checks import is_concrete
+from ._controller import AffinePolicy
+from ._cost import parts, step_costs
+from ._problem import Problem, check_us, check_x0
 from ._solution import Solution, SolveError, last_finite
+from ._solver import AbstractDirectSolver, AbstractSolver
+from ._status import Reason, Status
+from ._types import promote
 
 
 def solve(

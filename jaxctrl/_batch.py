@@ -10,10 +10,11 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import ArrayLike
 
-from .._problem import Problem, check_array, is_concrete
-from ._abstract import AbstractSolver
+from ._checks import check_array, is_concrete
+from ._problem import Problem
 from ._solution import Solution
 from ._solve import solve
+from ._solver import AbstractSolver
 
 DEFAULT_MEMORY = 4e9
 """What a device is taken to have [bytes] that does not tell."""

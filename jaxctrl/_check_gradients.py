@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from .._problem import Problem, check_us, check_x0
-from .._types import promote
-from ._abstract import AbstractSolver
+from ._problem import Problem, check_us, check_x0
 from ._solution import SolveError
 from ._solve import parts_name, run, solve
-from .ddp import DDP
+from ._solver import AbstractSolver
+from ._types import promote
+from .solvers.ddp import DDP
 
 STEPS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5)
 """Relative steps that are tried."""

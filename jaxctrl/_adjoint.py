@@ -24,9 +24,9 @@ import jax.flatten_util
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .._local_model import expand, stage_lagrangian
-from .._problem import Problem
-from ..linear import costates, factorise, solve_factorised
+from ._local_model import expand, stage_lagrangian
+from ._problem import Problem
+from .linear import costates, factorise, solve_factorised
 
 Found = tuple[Array, Array, Array]
 

@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from .._controller import AffinePolicy
-from .._problem import Problem
-from .._status import Status
-from ._judging import Tolerances
+from ._controller import AffinePolicy
+from ._problem import Problem
+from ._status import Status
 
 
 class Record(NamedTuple):
@@ -66,24 +65,3 @@ class AbstractSolver(eqx.Module):
     @abc.abstractmethod
     def policy(self, problem: Problem, state: Any) -> AffinePolicy:
         """Return the policy around the state's trajectory, xs (T+1, nx) and us (T, nu)."""
-
-
-class AbstractMinimiser(AbstractSolver):
-    """A solver whose end `Tolerances` judge; its states have `status`, `gradient` and `cost`."""
-
-    gradient_tolerance: eqx.AbstractVar[float | None]
-    cost_tolerance: eqx.AbstractVar[float | None]
-    step_tolerance: eqx.AbstractVar[float | None]
-
-    @property
-    def tolerances(self) -> Tolerances:
-        """The three tolerances together."""
-        return Tolerances(self.gradient_tolerance, self.cost_tolerance, self.step_tolerance)
-
-    def status(self, state):
-        """Return why the iteration ends, or `RUNNING`; shape ()."""
-        return state.status
-
-    def near(self, state):
-        """Tell whether the gradient is within 100 times its tolerance, shape ()."""
-        return state.gradient <= 100 * self.tolerances.resolve(state.cost.dtype)[0]

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .._controller import AffinePolicy
-from .._problem import is_concrete
-from .._status import Status
-from ._abstract import Record
+from ._checks import is_concrete
+from ._controller import AffinePolicy
+from ._solver import Record
+from ._status import Status
 
 
 def last_finite(xs: Float[Array, "T+1 nx"]) -> Float[Array, "T+1 nx"]:

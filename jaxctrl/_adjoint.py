@@ -16,6 +16,12 @@ L_k = l_k + p_{k+1}'f_k of each step, p the costates, this is one linear-quadrat
 where (dL_z), (dv_x) and (df) are the changes with p along the fixed trajectory: all local in time.
 Its solution, one Riccati sweep, is the derivative of the states and of the controls. That of the
 cost needs no sweep (the envelope theorem): sum_k (dL)_k + dv + p_0'dx0 + g_A'dbound_A.
+
+Which controls are at a bound is what the solver's last sweep held, not what a comparison of floats
+says: a control may settle a unit of rounding inside its bound.
+
+The gains are those of one sweep of the solver's own model at the optimum, K = K(x, u; p), with the
+controls at bounds held; their derivative is that sweep's, along the derivatives of x, u and p.
 """
 
 import equinox as eqx
@@ -26,28 +32,42 @@ from jaxtyping import Array
 
 from ._local_model import expand, stage_lagrangian
 from ._problem import Problem
-from .linear import costates, factorise, solve_factorised
+from ._solver import AbstractSolver
+from .linear._riccati import costates, factorise, solve_factorised
 
 Found = tuple[Array, Array, Array]
 
 
+def known_sides(problem: Problem, us: Array, side: Array) -> Array:
+    """Return which bound each control is at, (T, nu): `side`, or, where that is NaN, the one that
+    it all but touches."""
+    if problem.bounds is None:
+        return jnp.zeros_like(us)
+    lower, upper = problem.bounds
+    size = jnp.maximum(jnp.abs(lower), jnp.abs(upper))
+    room = jnp.finfo(us.dtype).eps ** 0.4 * jnp.where(jnp.isfinite(size), size, 0.0)
+    touched = jnp.where(us <= lower + room, -1.0, jnp.where(us >= upper - room, 1.0, 0.0))
+    return jnp.where(jnp.isnan(side), touched, side).astype(us.dtype)
+
+
 @eqx.filter_custom_jvp
-def attach(found: Found, problem: Problem, x0: Array, ok: Array) -> Found:
+def attach(found: Found, problem: Problem, x0: Array, side: Array, ok: Array) -> Found:
     """Return an optimum, found = (xs (T+1, nx), us (T, nu), cost ()), with its derivatives.
 
     Differentiable in the problem and in x0 (nx,); `found` itself is taken as it is: the optimum
-    does not depend on how it was reached. Where `ok` is False all derivatives are NaN, except
-    that a zero cotangent gives zero. To first order `found` need only be near the optimum; second
-    derivatives follow by differentiating the rule, in which the optimum is again a function of p.
+    does not depend on how it was reached. `side` (T, nu) tells which controls are at a bound. Where
+    `ok` is False all derivatives are NaN, except that a zero cotangent gives zero. To first order
+    `found` need only be near the optimum; second derivatives follow by differentiating the rule, in
+    which the optimum is again a function of p.
     """
     return found
 
 
 @attach.def_jvp
 def _attach_jvp(primals, tangents):
-    found, problem, x0, ok = primals
-    _, t_problem, t_x0, _ = tangents
-    found = attach(found, problem, x0, ok)
+    found, problem, x0, side, ok = primals
+    _, t_problem, t_x0, _, _ = tangents
+    found = attach(found, problem, x0, side, ok)
     # What overflows in a failed lane must not reach the others, multiplied by zero.
     xs, us, problem = _tame((found[0], found[1], problem), ok)
     arrays, static = eqx.partition(problem, eqx.is_inexact_array)
@@ -64,7 +84,10 @@ def _attach_jvp(primals, tangents):
         return along, value, slopes, problem.bounds
 
     _, (offset, value, (lx, lu, vx), t_bounds) = jax.jvp(local, (arrays,), (t_arrays,))
-    free, held = _held(problem, us, gradient, t_bounds)
+    free = side == 0
+    held = jnp.zeros_like(us)
+    if t_bounds is not None:
+        held = jnp.where(side < 0, t_bounds[0], jnp.where(side > 0, t_bounds[1], 0.0))
     system = factorise(model, free)
     t_xs, t_us = solve_factorised(system, lu, held, lx=lx, vx=vx, offset=offset, dx0=t_x0)
     start = model.lx[0] + model.fx[0].T @ p[0]
@@ -79,14 +102,42 @@ def _attach_jvp(primals, tangents):
     )
 
 
-def _held(problem: Problem, us: Array, gradient: Array, t_bounds) -> tuple[Array, Array]:
-    """Return which controls are free and how the others move with their bounds, each (T, nu)."""
-    if problem.bounds is None:
-        return jnp.ones(us.shape, bool), jnp.zeros_like(us)
-    lower, upper = problem.bounds
-    at_lower, at_upper = (us <= lower) & (gradient >= 0), (us >= upper) & (gradient <= 0)
-    held = jnp.where(at_lower, t_bounds[0], jnp.where(at_upper, t_bounds[1], 0.0))
-    return ~(at_lower | at_upper), held
+@eqx.filter_custom_jvp
+def attach_gains(
+    K: Array,
+    problem: Problem,
+    xs: Array,
+    us: Array,
+    side: Array,
+    ok: Array,
+    solver: AbstractSolver,
+) -> Array:
+    """Return an optimum's gains K (T, nu, nx) with their derivatives.
+
+    Differentiable in the problem and in the optimum's xs (T+1, nx) and us (T, nu), as
+    `solver.gains` is. Where `ok` is False, or where that gives other gains, derivatives are NaN.
+    """
+    return K
+
+
+@attach_gains.def_jvp
+def _gains_jvp(primals, tangents):
+    K, problem, xs, us, side, ok, solver = primals
+    _, t_problem, t_xs, t_us, _, _, _ = tangents
+    K = attach_gains(K, problem, xs, us, side, ok, solver)
+    xs, us, problem = _tame((xs, us, problem), ok)
+    arrays, static = eqx.partition(problem, eqx.is_inexact_array)
+    given = (arrays, xs, us)
+    along = (_instantiate(arrays, t_problem), _instantiate(xs, t_xs), _instantiate(us, t_us))
+
+    def gains(arrays, xs, us):
+        return solver.gains(eqx.combine(arrays, static), xs, us, side)
+
+    again, t_K = jax.jvp(gains, given, along)
+    room = jnp.finfo(K.dtype).eps ** (1 / 3) * jnp.max(jnp.abs(K), initial=0.0)
+    fine = ok & (jnp.abs(again - K) <= room).all()
+    every, _ = jax.flatten_util.ravel_pytree(along)
+    return K, t_K + _nan_unless(fine, t_K) + jnp.sum(_nan_unless(fine, every))
 
 
 def _nan_unless(ok: Array, tangent: Array) -> Array:

@@ -8,7 +8,7 @@ from ._cost import step_costs
 from ._jacobian import jacobian
 from ._problem import Problem
 from ._types import LocalModel
-from .linear import costates
+from .linear._riccati import costates
 
 
 def expand(

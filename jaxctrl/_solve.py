@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from . import _status
-from ._adjoint import attach
+from ._adjoint import attach, attach_gains, known_sides
 from ._checks import is_concrete
 from ._controller import AffinePolicy
 from ._cost import parts, step_costs
@@ -34,7 +34,7 @@ def solve(
     Works eagerly and, but for `BoundaryValue`, under jit, vmap and grad. Gradients of `cost`, `xs`
     and `us` with respect to x0 and every number in the problem follow from the implicit function
     theorem, exact to second order (see `docs/design.md`); they are NaN where the solve did not
-    converge. The gains of the policy are held constant under differentiation.
+    converge. So do those of the policy, gains included, and of what is simulated with it.
 
     Arguments:
         problem: what to solve. All its arrays, x0 and us are promoted to one floating dtype, the
@@ -176,16 +176,18 @@ def run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: i
     state, history, count = _iterate(frozen, solver, x0_frozen, us, max_steps)
     status = _final_status(solver, state)
     failed = status.code >= int(Reason.NONFINITE_INPUT)
-    found = solver.policy(frozen, state)
+    found = solver.found(frozen, state)
     xs = jnp.where(failed, last_finite(found.xs), found.xs)
     record = solver.record(state)
-    xs, us, cost = attach((xs, found.us, record.cost), problem, x0, status.ok)
+    side = known_sides(frozen, found.us, found.side)
+    xs, us, cost = attach((xs, found.us, record.cost), problem, x0, side, status.ok)
+    K = attach_gains(found.K, problem, xs, us, side, status.ok, solver)
     return Solution(
         xs=xs,
         us=us,
         nominal_cost=cost,
         expected_cost=cost,
-        policy=AffinePolicy(xs, us, found.k, found.K, problem.bounds),
+        policy=AffinePolicy(xs, us, jnp.zeros_like(us), K, problem.bounds),
         status=status,
         gradient=record.gradient,
         history=history,
@@ -200,15 +202,25 @@ def _iterate(problem, solver, x0, us, max_steps):
         lambda leaf: jnp.full(max_steps + 1, jnp.nan, leaf.dtype), solver.record(state)
     )
 
+    def going(state, count):
+        return solver.status(state).is_(Reason.RUNNING) & (count <= max_steps)
+
     def unfinished(carry):
         state, _, count = carry
-        return solver.status(state).is_(Reason.RUNNING) & (count <= max_steps)
+        failed = solver.status(state).code >= int(Reason.NONFINITE_INPUT)
+        return going(state, count) | (~solver.final(state) & ~failed)
 
     def body(carry):
         state, history, count = carry
-        state = solver.step(problem, state)
-        history = jax.tree.map(lambda h, r: h.at[count].set(r), history, solver.record(state))
-        return state, history, count + 1
+        # Where it has ended, once more for the gains.
+        more = going(state, count)
+        state = solver.step(problem, state, ~more)
+        history = jax.tree.map(
+            lambda h, r: h.at[count].set(jnp.where(more, r, h[count])),
+            history,
+            solver.record(state),
+        )
+        return state, history, count + more
 
     state, history, count = jax.lax.while_loop(unfinished, body, (state, padded, jnp.array(0)))
     # The first pass only measures the start.

@@ -4,9 +4,8 @@ import abc
 from typing import Any, NamedTuple
 
 import equinox as eqx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from ._controller import AffinePolicy
 from ._problem import Problem
 from ._status import Status
 
@@ -39,6 +38,22 @@ class AbstractDirectSolver(eqx.Module):
         """
 
 
+class Found(NamedTuple):
+    """Where an iteration has led.
+
+    Attributes:
+        xs, us: the trajectory, (T+1, nx) and (T, nu).
+        K: the gains around it (T, nu, nx), those of the solver's `gains`.
+        side: which controls are held at a bound, (T, nu): -1 the lower, 1 the upper, 0 neither,
+            NaN where that is not known. Derivatives follow the bounds that are held.
+    """
+
+    xs: Float[Array, "T+1 nx"]
+    us: Float[Array, "T nu"]
+    K: Float[Array, "T nu nx"]
+    side: Float[Array, "T nu"]
+
+
 class AbstractSolver(eqx.Module):
     """An iteration on a state that is a pytree; it holds parameters but no state of its own."""
 
@@ -47,8 +62,11 @@ class AbstractSolver(eqx.Module):
         """Return the state at the start, from x0 (nx,) under the controls us (T, nu)."""
 
     @abc.abstractmethod
-    def step(self, problem: Problem, state: Any) -> Any:
-        """Return the state after one iteration; the first one measures the start."""
+    def step(self, problem: Problem, state: Any, last: Bool[Array, ""]) -> Any:
+        """Return the state after one iteration; the first one measures the start.
+
+        With `last` the iteration has ended: no step is taken, but the gains are made final.
+        """
 
     @abc.abstractmethod
     def status(self, state: Any) -> Status:
@@ -63,5 +81,23 @@ class AbstractSolver(eqx.Module):
         """Tell whether the state is nearly converged; a boolean of shape ()."""
 
     @abc.abstractmethod
-    def policy(self, problem: Problem, state: Any) -> AffinePolicy:
-        """Return the policy around the state's trajectory, xs (T+1, nx) and us (T, nu)."""
+    def final(self, state: Any) -> Array:
+        """Tell whether the gains are final as they are; a boolean of shape ()."""
+
+    @abc.abstractmethod
+    def found(self, problem: Problem, state: Any) -> Found:
+        """Return the state's trajectory, xs (T+1, nx) and us (T, nu), and the gains around it."""
+
+    @abc.abstractmethod
+    def gains(
+        self,
+        problem: Problem,
+        xs: Float[Array, "T+1 nx"],
+        us: Float[Array, "T nu"],
+        side: Float[Array, "T nu"],
+    ) -> Float[Array, "T nu nx"]:
+        """Return the gains (T, nu, nx) around xs (T+1, nx), us (T, nu), a function of these alone.
+
+        `side` (T, nu) tells which controls are held at a bound, as in `Found`; their gains are
+        zero. It is what derivatives of the policy are derivatives of.
+        """

@@ -48,14 +48,39 @@ def as_bounds(
     return (pair[0], pair[1])
 
 
+class Noise(NamedTuple):
+    """What disturbs each step of a local model: sum_i (c_i + cx_i dx + cu_i du) xi_i.
+
+    The xi_i are independent with mean 0 and variance 1; c_i holds the square root of the time step.
+    `cx` and `cu` are None where they vanish, as for additive noise.
+    """
+
+    c: Float[Array, "T nw nx"]
+    cx: Float[Array, "T nw nx nx"] | None = None
+    cu: Float[Array, "T nw nx nu"] | None = None
+
+
+class Stages(NamedTuple):
+    """The steps of a `LocalModel`, each array leading with time: what a sweep scans over."""
+
+    fx: Float[Array, "T nx nx"]
+    fu: Float[Array, "T nx nu"]
+    lx: Float[Array, "T nx"]
+    lu: Float[Array, "T nu"]
+    lxx: Float[Array, "T nx nx"]
+    lux: Float[Array, "T nu nx"]
+    luu: Float[Array, "T nu nu"]
+    noise: Noise | None
+
+
 class LocalModel(NamedTuple):
     """Linear-quadratic expansion of a problem along a trajectory of T steps.
 
-    dx' = fx dx + fu du for each step, and for the cost of each step
+    dx' = fx dx + fu du (+ noise) for each step, and for the cost of each step
     l + lx' dx + lu' du + (dx' lxx dx + 2 du' lux dx + du' luu du) / 2, and at the end
-    vx' dx + dx' vxx dx / 2. Every array but the last two leads with time. The cost's blocks hold
+    vx' dx + dx' vxx dx / 2. Every array but vx and vxx leads with time. The cost's blocks hold
     the time step already; for an exact second-order expansion they hold the costates contracted
-    with the second derivatives of the dynamics too.
+    with the second derivatives of the dynamics too. Without `noise` nothing is computed for it.
     """
 
     fx: Float[Array, "T nx nx"]
@@ -67,6 +92,12 @@ class LocalModel(NamedTuple):
     luu: Float[Array, "T nu nu"]
     vx: Float[Array, " nx"]
     vxx: Float[Array, "nx nx"]
+    noise: Noise | None = None
+
+    @property
+    def stages(self) -> Stages:
+        """What belongs to the steps, every array leading with time."""
+        return Stages(self.fx, self.fu, self.lx, self.lu, self.lxx, self.lux, self.luu, self.noise)
 
 
 def promote(tree):

@@ -57,7 +57,14 @@ def box_lqr(
     Returns: `Sweep`, whose law keeps du in the box on the model and whose gains are zero for held
     controls, and the held set, as `side`, NaN where the sets cycled. `settled` is False where
     neither method ended.
+
+    Raises ValueError for a model with noise.
     """
+    if model.noise is not None:
+        raise ValueError(
+            "model: one without noise is wanted: under noise controls in a box are no single "
+            "quadratic program"
+        )
     sweeps = find_engine(engine)
     lower, upper = jnp.asarray(lower), jnp.asarray(upper)
     box = Box(model, jnp.broadcast_to(damping, lower.shape), lower, upper)

@@ -92,6 +92,8 @@ def lqr(model: LocalModel, damping: ArrayLike = 0.0) -> Sweep:
 
     Not differentiable in reverse mode.
     """
+    if model.noise is not None:
+        return _riccati.lqr(model, damping)  # noise couples the pieces: no scan of theirs holds it
     damping = jnp.broadcast_to(damping, model.lu.shape)
     every, none = jnp.ones(model.lu.shape, bool), jnp.zeros_like(model.lu)
     law = _law(model, every, none, damping, none)
@@ -265,7 +267,7 @@ def _law(model: LocalModel, free: Array, kept: Array, damping: Array, extra: Arr
         return kept - solved[:, 0], Qu
 
     model = model._replace(lu=model.lu + extra)
-    stages = (riccati.Vxx[1:], riccati.K, *model[:-2], damping, kept)
+    stages = (riccati.Vxx[1:], riccati.K, *model.stages[:-1], damping, kept)
     F, slope, Qux, Quu = jax.vmap(before)(*stages)
     Vx = _affine_back(F, slope, model.vx)
     k, Qu = jax.vmap(after)(Vx[1:], model.fu, model.lu, Quu, free, kept)

@@ -1,31 +1,170 @@
-"""The Riccati sweep over a local model, with or without bounds on the controls.
-
-    Q_x  = l_x + f_x' V_x          Q_xx = l_xx + f_x' V_xx f_x
-    Q_u  = l_u + f_u' V_x          Q_ux = l_ux + f_u' V_xx f_x
-                                   Q_uu = l_uu + f_u' V_xx f_u
-
-    k = -Q_uu^-1 Q_u,  K = -Q_uu^-1 Q_ux
-
-    V_x  <- Q_x + Q_ux'k + K'(Q_u + Q_uu k)
-    V_xx <- Q_xx + K'Q_ux
+"""Riccati sweeps over a local model: one loop, `sweep`, and the rules that choose each step's law.
 
 Damping d >= 0 adds sum_ki d_ki du_ki^2 / 2 to the model (Levenberg and Marquardt).
-
-In float32 the last line is Joseph's form, l_xx + l_ux'K + K'l_ux + K'l_uu K + F'V_xx F with
-F = f_x + f_u K: it subtracts no large numbers, where the form above would lose V_xx to round-off,
-and takes a third longer.
-
-Li (2006), eq. 4.12-4.18 (Theorem 1) is its special case l_xx = Q, l_uu = R, l_x = Q x, l_u = R u.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from .._linalg import matmul, solve_positive, symmetrise
-from .._types import LocalModel
+from .._linalg import matmul, solve_positive
+from .._types import LocalModel, Stages
+from ._step import Action, Value, action, pull, value
+
+
+class Law(NamedTuple):
+    """A step's law du = k + K dx, and whether it could be chosen as its rule wants."""
+
+    k: Float[Array, " nu"]
+    K: Float[Array, "nu nx"]
+    ok: Bool[Array, ""]
+
+
+class Rule(Protocol):
+    """How each step's law is chosen: arrays that lead with time, and what to do with a slice."""
+
+    @property
+    def best(self) -> bool:
+        """Whether the law minimises Q in the controls that it moves."""
+        ...
+
+    def price(self, stage: Stages) -> Stages:
+        """Return the stage with what the rule adds to its cost."""
+        ...
+
+    def choose(self, Q: Action) -> Law:
+        """Return the law for a step's Q."""
+        ...
+
+
+class Free(NamedTuple):
+    """The minimiser of the model damped by d (T, nu): k = -Q_uu^-1 Q_u, K = -Q_uu^-1 Q_ux."""
+
+    damping: Float[Array, "T nu"]
+
+    @property
+    def best(self) -> bool:
+        """True."""
+        return True
+
+    def price(self, stage: Stages) -> Stages:
+        """Return the stage with d added to the diagonal of l_uu."""
+        return stage._replace(luu=add_diagonal(stage.luu, self.damping))
+
+    def choose(self, Q: Action) -> Law:
+        """Return the minimiser; zero where Q_uu is not positive definite."""
+        solved, ok = solve_positive(Q.uu, jnp.concatenate([Q.u[:, None], Q.ux], axis=1))
+        solved = jnp.where(ok, -solved, 0.0)
+        return Law(solved[:, 0], solved[:, 1:], ok)
+
+
+class Holding(NamedTuple):
+    """The same, with `values` for the controls that are not `free`, whose gains are zero.
+
+    `extra` is added to the linear terms of the controls; each array is (T, nu).
+    """
+
+    free: Bool[Array, "T nu"]
+    values: Float[Array, "T nu"]
+    damping: Float[Array, "T nu"]
+    extra: Float[Array, "T nu"]
+
+    @property
+    def best(self) -> bool:
+        """True."""
+        return True
+
+    def price(self, stage: Stages) -> Stages:
+        """Return the stage with d on the diagonal of l_uu and the extra linear terms."""
+        luu = add_diagonal(stage.luu, self.damping)
+        return stage._replace(luu=luu, lu=stage.lu + self.extra)
+
+    def choose(self, Q: Action) -> Law:
+        """Return the minimiser in the free controls, which stay put where it is none."""
+        free, identity = self.free, jnp.eye(Q.u.size, dtype=Q.u.dtype)
+        held = jnp.where(free, 0.0, self.values)
+        both = free[:, None] & free[None, :]
+        rhs = jnp.concatenate([(Q.u + matmul(Q.uu, held))[:, None], Q.ux], axis=1)
+        solved, ok = solve_positive(
+            jnp.where(both, Q.uu, identity), jnp.where(free[:, None], rhs, 0.0)
+        )
+        solved = jnp.where(ok, -solved, 0.0)
+        return Law(held + solved[:, 0], solved[:, 1:], ok)
+
+
+class Given(NamedTuple):
+    """A law k (T, nu), K (T, nu, nx) that is only to be evaluated."""
+
+    k: Float[Array, "T nu"]
+    K: Float[Array, "T nu nx"]
+
+    @property
+    def best(self) -> bool:
+        """False."""
+        return False
+
+    def price(self, stage: Stages) -> Stages:
+        """Return the stage itself."""
+        return stage
+
+    def choose(self, Q: Action) -> Law:
+        """Return the law as it is."""
+        return Law(self.k, self.K, jnp.array(True))
+
+
+class Step(NamedTuple):
+    """What a sweep knows at one step: the value ahead and before, Q, the law, and two gradients.
+
+    `gradient` is that of the total cost in the controls with no law beyond, and without noise;
+    `steady` the same under the gains beyond; neither has the rule's own prices.
+    """
+
+    ahead: Value
+    before: Value
+    Q: Action
+    law: Law
+    gradient: Float[Array, " nu"]
+    steady: Float[Array, " nu"]
+
+
+def sweep(model: LocalModel, rule: Rule, keep: Callable[[Step], Any]) -> tuple[Value, Any]:
+    """Go backwards through a local model, each step's law chosen by a rule.
+
+    Arguments:
+        model: local expansion, with or without noise.
+        rule: `Free`, `Holding` or `Given`.
+        keep: what to return of each step.
+
+    Returns: the value at the first state, and what was kept, leading with time.
+    """
+
+    def body(carry, inputs):
+        ahead, aside = carry
+        plain, rule = inputs
+        stage = rule.price(plain)
+        Q = action(ahead, stage)
+        law = rule.choose(Q)
+        before = value(ahead, stage, Q, law.k, law.K, best=rule.best)
+        # Columns: the costate, and the slope in the state under the gains alone.
+        x, u = pull(plain, aside)
+        steady_x, steady_u = x[:, 1], u[:, 1]
+        if stage.noise is not None:
+            without = pull(stage, ahead.vx)
+            steady_x, steady_u = steady_x + Q.x - without[0], steady_u + Q.u - without[1]
+        aside = jnp.stack([x[:, 0], steady_x + matmul(law.K.T, steady_u)], axis=1)
+        return (before, aside), keep(Step(ahead, before, Q, law, u[:, 0], steady_u))
+
+    end = Value(jnp.zeros((), model.vx.dtype), model.vx, model.vxx)
+    start = (end, jnp.stack([model.vx] * 2, axis=1))
+    (first, _), kept = jax.lax.scan(body, start, (model.stages, rule), reverse=True)
+    return first, kept
+
+
+def _finite(step: Step) -> Bool[Array, ""]:
+    return jnp.isfinite(jnp.sum(step.before.vx) + jnp.trace(step.before.vxx))
 
 
 class Sweep(NamedTuple):
@@ -76,7 +215,7 @@ def last_true(flags: Bool[Array, " n"]) -> Int[Array, ""]:
 
 
 def lqr(model: LocalModel, damping: ArrayLike = 0.0) -> Sweep:
-    """Sweep the Riccati recursion backwards through a local model (the module's equations).
+    """Sweep the Riccati recursion backwards through a local model.
 
     Arguments:
         model: local expansion; every array but the last two leads with time.
@@ -86,36 +225,32 @@ def lqr(model: LocalModel, damping: ArrayLike = 0.0) -> Sweep:
     """
     damping = jnp.broadcast_to(damping, model.lu.shape)
 
-    def body(carry, stage):
-        # Columns: V_x; the gradient in the state under the law without k; that without any law.
-        ahead, Vxx, linear, change = carry
-        fx, fu, lx, lu, lxx, lux, luu, d = stage
-        luu = add_diagonal(luu, d)
-        Qxx, Qux, Quu = _quadratic(Vxx, fx, fu, lxx, lux, luu)
-        Qv = lu[:, None] + matmul(fu.T, ahead)
-        solved, ok = solve_positive(Quu, jnp.concatenate([Qv[:, :1], Qux], axis=1))
-        solved = jnp.where(ok, -solved, 0.0)
-        k, K = solved[:, 0], solved[:, 1:]
-        after = matmul(Quu, k)
-        law = jnp.stack([Qv[:, 0] + after, Qv[:, 1], jnp.zeros_like(k)], axis=1)
-        step = jnp.stack([k, jnp.zeros_like(k), jnp.zeros_like(k)], axis=1)
-        before = lx[:, None] + matmul(fx.T, ahead) + matmul(Qux.T, step) + matmul(K.T, law)
-        Vxx = _value(Vxx, Qxx, Qux, K, (fx, fu, lxx, lux, luu))
-        linear = linear + jnp.sum(k * Qv[:, 1])
-        change = change + jnp.sum(k * (Qv[:, 0] + 0.5 * after))
-        finite = jnp.isfinite(jnp.sum(before[:, 0]) + jnp.trace(Vxx))
-        out = (k, K, Qv[:, 2], jnp.diagonal(Quu) - d, ok, finite)
-        return (before, Vxx, linear, change), out
+    def keep(step: Step):
+        linear = jnp.sum(step.law.k * step.steady)
+        # What noise costs, whatever the controls.
+        constant = 0.0 if model.noise is None else step.Q.q - step.ahead.v
+        return *step.law, step.gradient, jnp.diagonal(step.Q.uu), linear, constant, _finite(step)
 
-    zero = jnp.zeros((), model.vx.dtype)
-    start = (jnp.stack([model.vx] * 3, axis=1), model.vxx, zero, zero)
-    end, out = jax.lax.scan(body, start, (*model[:-2], damping), reverse=True)
-    k, K, gradient, curvature, ok, finite = out
-    linear, change = end[-2:]
+    first, kept = sweep(model, Free(damping), keep)
+    k, K, ok, gradient, curvature, linear, constant, finite = kept
+    linear = jnp.sum(linear)
+    change = first.v if model.noise is None else first.v - jnp.sum(constant)
     return Sweep(
-        k, K, gradient, curvature, linear, change - linear,
+        k, K, gradient, curvature - damping, linear, change - linear,
         ok.all(), last_true(~ok), nonfinite(model, finite), jnp.array(True),
     )  # fmt: skip
+
+
+def evaluate(model: LocalModel, k: Float[Array, "T nu"], K: Float[Array, "T nu nx"]) -> Value:
+    """Return the expected cost of a given law du = k + K dx on a model, whatever the law.
+
+    E J(dx) = v + vx'dx + dx'vxx dx/2 for a start dx, noise included.
+
+    Arguments: the model, and the law's k (T, nu) and K (T, nu, nx).
+
+    Returns: `Value`: v (), vx (nx,), vxx (nx, nx).
+    """
+    return sweep(model, Given(k, K), lambda step: ())[0]
 
 
 def nonfinite(model: LocalModel, finite: Bool[Array, " T"]) -> Int[Array, ""]:
@@ -126,22 +261,6 @@ def nonfinite(model: LocalModel, finite: Bool[Array, " T"]) -> Int[Array, ""]:
 def add_diagonal(A: Array, d: Array) -> Array:
     index = jnp.arange(d.size)
     return A + jnp.where(index[:, None] == index, d, 0.0)
-
-
-def _quadratic(Vxx, fx, fu, lxx, lux, luu) -> tuple[Array, Array, Array]:
-    """Return Q_xx, Q_ux and Q_uu."""
-    VA, VB = matmul(Vxx, fx), matmul(Vxx, fu)
-    return lxx + matmul(fx.T, VA), lux + matmul(fu.T, VA), luu + matmul(fu.T, VB)
-
-
-def _value(Vxx, Qxx, Qux, K, stage) -> Array:
-    """Return the V_xx before a step with gains K."""
-    if Vxx.dtype == jnp.float64:
-        return symmetrise(Qxx + matmul(K.T, Qux))
-    fx, fu, lxx, lux, luu = stage
-    F = fx + matmul(fu, K)
-    across = matmul(K.T, lux + 0.5 * matmul(luu, K))
-    return symmetrise(lxx + 2 * across + matmul(F.T, matmul(Vxx, F)))
 
 
 class Held(NamedTuple):
@@ -179,37 +298,12 @@ def held_lqr(
 
     Returns: `Held`. Where a step is not strictly convex in its free controls these stay put.
     """
-    extra = jnp.broadcast_to(extra, held.shape)
-    identity = jnp.eye(held.shape[1], dtype=held.dtype)
+    rule = Holding(free, held, damping, jnp.broadcast_to(extra, held.shape))
 
-    def back(carry, stage):
-        # Columns: V_x, and the costate.
-        ahead, Vxx = carry
-        fx, fu, lx, lu, lxx, lux, luu, d, free, held, extra = stage
-        luu = add_diagonal(luu, d)
-        Qxx, Qux, Quu = _quadratic(Vxx, fx, fu, lxx, lux, luu)
-        Qv = lu[:, None] + matmul(fu.T, ahead)
-        Qu, gradient = Qv[:, 0] + extra, Qv[:, 1]
-        kept = jnp.where(free, 0.0, held)
-        both = free[:, None] & free[None, :]
-        rhs = jnp.concatenate([(Qu + matmul(Quu, kept))[:, None], Qux], axis=1)
-        solved, ok = solve_positive(
-            jnp.where(both, Quu, identity), jnp.where(free[:, None], rhs, 0.0)
-        )
-        solved = jnp.where(ok, -solved, 0.0)
-        k, K = kept + solved[:, 0], solved[:, 1:]
-        before = lx[:, None] + matmul(fx.T, ahead)
-        Vx = before[:, 0] + matmul(Qux.T, k) + matmul(K.T, Qu + matmul(Quu, k))
-        Vxx = _value(Vxx, Qxx, Qux, K, (fx, fu, lxx, lux, luu))
-        finite = jnp.isfinite(jnp.sum(Vx) + jnp.trace(Vxx))
-        out = (k, Qu, Qux, Quu, K, gradient, ok, finite)
-        return (jnp.stack([Vx, before[:, 1]], axis=1), Vxx), out
+    def keep(step: Step):
+        return *step.law, step.Q.u, step.Q.ux, step.Q.uu, step.gradient, _finite(step)
 
-    start = (jnp.stack([model.vx] * 2, axis=1), model.vxx)
-    stages = (*model[:-2], damping, free, held, extra)
-    swept = jax.lax.scan(back, start, stages, reverse=True)[1]
-    k, Qu, Qux, Quu, K, gradient, ok, finite = swept
-
+    k, K, ok, Qu, Qux, Quu, gradient, finite = sweep(model, rule, keep)[1]
     dxs, dus, slope = _held_forth(model, free, k, K, (Qu, Qux, Quu))
     curvature = jnp.diagonal(Quu, axis1=1, axis2=2)
     return Held(dxs, dus, slope, K, gradient, curvature, ok, finite)
@@ -257,25 +351,24 @@ def factorise(model: LocalModel, free: Bool[Array, "T nu"], damping: ArrayLike =
     Returns: `FreeLQR`, for `solve_factorised`; `ok` (T,) tells at which steps the problem is
     strictly convex in the free controls; elsewhere the gains are zero.
     """
-    damping = jnp.broadcast_to(damping, model.lu.shape)
-    nu = model.lu.shape[1]
-    identity = jnp.eye(nu, dtype=model.lu.dtype)
+    none = jnp.zeros_like(model.lu)
+    rule = Holding(free, none, jnp.broadcast_to(damping, model.lu.shape), none)
 
-    def body(Vxx, stage):
-        fx, fu, lxx, lux, luu, d, free = stage
-        luu = add_diagonal(luu, d)
-        Qxx, Qux, Quu = _quadratic(Vxx, fx, fu, lxx, lux, luu)
+    def keep(step: Step):
+        _, K, ok = step.law
+        Q, finite = step.Q, jnp.isfinite(jnp.trace(step.before.vxx))
+        return step.ahead.vxx, Q.ux, Q.uu, K, ok, finite
+
+    Vxx, Qux, Quu, K, ok, finite = sweep(model, rule, keep)[1]
+    identity = jnp.eye(model.lu.shape[1], dtype=model.lu.dtype)
+
+    def invert(Quu, free, ok):
         both = free[:, None] & free[None, :]
-        rhs = jnp.where(free[:, None], jnp.concatenate([identity, -Qux], axis=1), 0.0)
-        solved, ok = solve_positive(jnp.where(both, Quu, identity), rhs)
-        solved = jnp.where(ok, solved, 0.0)
-        inverse, K = solved[:, :nu], solved[:, nu:]
-        before = _value(Vxx, Qxx, Qux, K, (fx, fu, lxx, lux, luu))
-        finite = jnp.isfinite(jnp.trace(before))
-        return before, (Vxx, Qux, Quu, inverse, K, ok, finite)
+        rhs = jnp.where(free[:, None], identity, 0.0)
+        return jnp.where(ok, solve_positive(jnp.where(both, Quu, identity), rhs)[0], 0.0)
 
-    stages = (model.fx, model.fu, model.lxx, model.lux, model.luu, damping, free)
-    return FreeLQR(model, free, *jax.lax.scan(body, model.vxx, stages, reverse=True)[1])
+    inverse = jax.vmap(invert)(Quu, free, ok)
+    return FreeLQR(model, free, Vxx, Qux, Quu, inverse, K, ok, finite)
 
 
 def solve_factorised(

@@ -20,13 +20,14 @@ import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import _status
-from .._controller import AffinePolicy, clip
+from .._controller import clip
 from .._local_model import expand
 from .._problem import Problem
-from .._solver import Record
+from .._solver import Found, Record
 from .._status import Reason, Status
 from .._types import Bounds
-from ..linear import Sweep, box_lqr, lqr
+from ..linear._box_lqr import box_lqr
+from ..linear._riccati import Sweep, factorise, lqr
 from ._judging import (
     Tolerances,
     converged,
@@ -63,10 +64,11 @@ class Point(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """A Riccati sweep at an iterate, with the cost and the rounding of its changes there."""
+    """A Riccati sweep at an iterate, what it holds, the cost and the rounding of its changes."""
 
     cost: Float[Array, ""]
     sweep: Sweep
+    side: Float[Array, "T nu"]
     round_off: Float[Array, ""]
     start: Status
 
@@ -209,9 +211,11 @@ def _measure(problem: Problem, x0: Array, us: Array) -> Measured:
     xs = problem.rollout(x0, us)
     cost = problem.total_cost(xs, us)
     model = expand(problem, xs, us)
-    sweep = lqr(model) if bounds is None else box_lqr(model, bounds[0] - us, bounds[1] - us)[0]
+    sweep, side = lqr(model), jnp.zeros_like(us)
+    if bounds is not None:
+        sweep, side = box_lqr(model, bounds[0] - us, bounds[1] - us)
     start = start_status(problem, xs, us, Status.of(Reason.RUNNING))
-    return Measured(cost, sweep, rounding(model, xs, cost), start)
+    return Measured(cost, sweep, side, rounding(model, xs, cost), start)
 
 
 def _measure_if(wanted: Array, problem: Problem, x0: Array, us: Array, last: Measured) -> Measured:
@@ -328,6 +332,7 @@ class AbstractDescent(AbstractMinimiser):
     def init(self, problem, x0, us):
         """Return the state before anything was computed, from us (T, nu) and x0 (nx,)."""
         us = clip(us, problem.bounds)
+        none = jnp.zeros_like(us)
         number, unknown = jnp.zeros((), us.dtype), jnp.full((), jnp.nan, us.dtype)
         running = Status.of(Reason.RUNNING)
         return DescentState(
@@ -338,7 +343,7 @@ class AbstractDescent(AbstractMinimiser):
             start_cost=number,
             memory=self._begin(us),
             fresh=jnp.array(True),
-            look=Measured(unknown, no_sweep(us, x0.size), number, running),
+            look=Measured(unknown, no_sweep(us, x0.size), none, number, running),
             gradient=unknown,
             level=number,
             length=number,
@@ -349,7 +354,7 @@ class AbstractDescent(AbstractMinimiser):
             status=input_status(problem, x0, us),
         )
 
-    def step(self, problem, state):
+    def step(self, problem, state, last):
         """Search along a direction and judge where it led; arrays keep their shapes."""
         return step(problem, state, self)
 
@@ -357,12 +362,20 @@ class AbstractDescent(AbstractMinimiser):
         """Return cost, projected gradient, length of the step and 0, each of shape ()."""
         return Record(state.cost, state.gradient, state.length, jnp.zeros_like(state.cost))
 
-    def policy(self, problem, state):
-        """Return the gains of a sweep around the last trajectory, xs (T+1, nx) and us (T, nu).
+    def final(self, state):
+        """Return True, shape (): gains are made at the end."""
+        return jnp.array(True)
+
+    def found(self, problem, state):
+        """Return the last trajectory, xs (T+1, nx) and us (T, nu), and the gains around it.
 
         Without noise the policy reproduces that trajectory: the step that the sweep would take
         next is not part of it.
         """
         xs = problem.rollout(state.x0, state.us)
-        gains = _measure(problem, state.x0, state.us).sweep.K
-        return AffinePolicy(xs, state.us, jnp.zeros_like(state.us), gains, problem.bounds)
+        side = _measure(problem, state.x0, state.us).side
+        return Found(xs, state.us, self.gains(problem, xs, state.us, side), side)
+
+    def gains(self, problem, xs, us, side):
+        """Return the gains (T, nu, nx) of a Riccati sweep around xs (T+1, nx), us (T, nu)."""
+        return factorise(expand(problem, xs, us), side == 0).K

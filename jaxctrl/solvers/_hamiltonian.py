@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 from .._jacobian import dependence, jacobian
 from .._linalg import solve_positive
 from .._problem import Problem
-from ..linear import box_qp
+from ..linear._boxqp import box_qp
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Where between its bounds each control starts when H is minimised by Newton's method."""

@@ -18,11 +18,11 @@ from .._problem import Problem
 from .._solution import Solution, last_finite
 from .._solver import AbstractDirectSolver, Record
 from .._status import Reason, Status, first_nonfinite
-from ..linear import costates, factorise
+from ..linear._riccati import costates, factorise
 from ._collocation import Path, collocate, controls
 from ._hamiltonian import Hamiltonian
 from ._judging import cost_scale, input_status, projected_gradient, start_status
-from .line_search import rollout_law
+from ._rollout import rollout_law
 
 NODES = 41
 """How many nodes the first mesh has."""

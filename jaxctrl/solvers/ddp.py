@@ -4,7 +4,9 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from .shooting import AbstractShooting
+from .._local_model import expand
+from ..linear._engine import find_engine
+from .shooting import AbstractShooting, box_or_free_law
 
 
 class DDP(AbstractShooting):
@@ -33,3 +35,18 @@ class DDP(AbstractShooting):
     cost_tolerance: float | None = eqx.field(static=True, default=None)
     step_tolerance: float | None = eqx.field(static=True, default=None)
     sweep: str = eqx.field(static=True, default="sequential")
+
+    def __check_init__(self):
+        find_engine(self.sweep)
+
+    def expand(self, problem, xs, us, near):
+        """Return the model, of exact second order if `near`."""
+        return expand(problem, xs, us, second_order=near)
+
+    def law(self, model, damping, box, guess):
+        """Return the model's exact minimiser, in the box if there is one, and what it holds."""
+        return box_or_free_law(model, damping, box, guess, self.sweep)
+
+    def merit(self, problem, xs, us, law):
+        """Return the nominal cost, shape ()."""
+        return problem.total_cost(xs, us)

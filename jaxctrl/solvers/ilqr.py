@@ -4,7 +4,9 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from .shooting import AbstractShooting
+from .._local_model import expand
+from ..linear._engine import find_engine
+from .shooting import AbstractShooting, box_or_free_law
 
 
 class ILQR(AbstractShooting):
@@ -37,3 +39,18 @@ class ILQR(AbstractShooting):
     cost_tolerance: float | None = eqx.field(static=True, default=None)
     step_tolerance: float | None = eqx.field(static=True, default=None)
     sweep: str = eqx.field(static=True, default="sequential")
+
+    def __check_init__(self):
+        find_engine(self.sweep)
+
+    def expand(self, problem, xs, us, near):
+        """Return the first-order model; `near` changes nothing."""
+        return expand(problem, xs, us)
+
+    def law(self, model, damping, box, guess):
+        """Return the model's exact minimiser, in the box if there is one, and what it holds."""
+        return box_or_free_law(model, damping, box, guess, self.sweep)
+
+    def merit(self, problem, xs, us, law):
+        """Return the nominal cost, shape ()."""
+        return problem.total_cost(xs, us)

@@ -1,16 +1,11 @@
-"""Backtracking along a law: roll it out on the true dynamics and halve until the cost falls."""
+"""Backtracking along a law: halve the step until the cost falls. It knows trials, no problem."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
-
-from .._controller import clip
-from .._linalg import matmul
-from .._problem import Problem
-from .._types import Bounds
-from ..linear import Sweep
 
 HALVINGS = 10
 """The smallest fraction tried is 2^-10."""
@@ -29,35 +24,10 @@ class Trial(NamedTuple):
     accepted: Bool[Array, ""]
 
 
-def rollout_law(
-    problem: Problem,
-    xs: Float[Array, "T+1 nx"],
-    us: Float[Array, "T nu"],
-    k: Float[Array, "T nu"],
-    K: Float[Array, "T nu nx"],
-    bounds: Bounds | None,
-) -> tuple[Float[Array, "T+1 nx"], Float[Array, "T nu"]]:
-    """Roll out u = clip(u_nominal + k + K (x - x_nominal)) on the true dynamics.
-
-    Returns: states (T+1, nx) and controls (T, nu).
-    """
-
-    def body(x, inputs):
-        x_nominal, u_nominal, k, K, t, bound = inputs
-        u = clip(u_nominal + k + matmul(K, x - x_nominal), bound)
-        after = problem.step(x, u, t)
-        return after, (after, u)
-
-    inputs = (xs[:-1], us, k, K, problem.ts[:-1], bounds)
-    _, (new_xs, new_us) = jax.lax.scan(body, xs[0], inputs)
-    return jnp.concatenate([xs[:1], new_xs]), new_us
-
-
 def search(
-    problem: Problem,
     nominal: Trial,
-    sweep: Sweep,
-    bounds: Bounds | None,
+    trial_of: Callable[[Array], tuple[Array, Array, Array]],
+    expected_of: Callable[[Array], Array],
     round_off: Float[Array, ""],
     *,
     wanted: ArrayLike,
@@ -75,10 +45,9 @@ def search(
     takes as long as eleven.
 
     Arguments:
-        problem: what is solved.
         nominal: the nominal trajectory, with its cost.
-        sweep: the law and its expected change of the cost.
-        bounds: (lower, upper), each (T, nu), or None.
+        trial_of: returns the states (T+1, nx), the controls (T, nu) and the cost () at a fraction.
+        expected_of: returns by how much the cost should fall there, ().
         round_off: what of a change of the cost is lost in rounding.
         wanted: False skips the search.
         forced: True accepts the first trial, whatever comes out.
@@ -87,10 +56,8 @@ def search(
     """
 
     def attempt(fraction):
-        k = fraction * sweep.k
-        xs, us = rollout_law(problem, nominal.xs, nominal.us, k, sweep.K, bounds)
-        cost = problem.total_cost(xs, us)
-        expected = -(fraction * sweep.linear + fraction**2 * sweep.quadratic)
+        xs, us, cost = trial_of(fraction)
+        expected = expected_of(fraction)
         fall = nominal.cost - cost
         enough = (fall >= 0) & (fall >= SUFFICIENT * expected)
         enough |= (expected <= round_off) & (fall >= -round_off)

@@ -1,17 +1,22 @@
 """The iteration that ILQR shares with its relatives: expand, sweep, search along the law."""
 
+import abc
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import _status
-from .._controller import AffinePolicy, clip
-from .._local_model import expand
+from .._controller import clip
 from .._problem import Problem
-from .._solver import Record
+from .._solver import Found, Record
 from .._status import Reason, Status
-from ..linear import Sweep, box_lqr, find_engine, lqr
+from .._types import Bounds, LocalModel
+from ..linear import Sweep
+from ..linear._box_lqr import box_lqr
+from ..linear._engine import find_engine
+from ..linear._riccati import factorise
 from ._judging import (
     Tolerances,
     converged,
@@ -24,6 +29,7 @@ from ._judging import (
     start_status,
 )
 from ._minimiser import AbstractMinimiser
+from ._rollout import rollout_law
 from .line_search import Trial, search
 
 LAM_FIRST, LAM_MIN, LAM_MAX = 1e-6, 1e-9, 1e10
@@ -48,6 +54,7 @@ class ShootingState(eqx.Module):
         lam, factor: relative regularisation and the factor by which it last changed.
         fraction: of the last law, by which the iterate was reached; 0 when it was rejected.
         second: whether the law comes from the exact second order.
+        final: whether the gains are those of the solver's own model, undamped.
         num_accepted: number of steps accepted so far.
         status: `RUNNING`, or why the iteration ends.
     """
@@ -65,6 +72,7 @@ class ShootingState(eqx.Module):
     factor: Float[Array, ""]
     fraction: Float[Array, ""]
     second: Bool[Array, ""]
+    final: Bool[Array, ""]
     num_accepted: Int[Array, ""]
     status: Status
 
@@ -86,36 +94,36 @@ def init(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) ->
         factor=jnp.ones((), us.dtype),
         fraction=number,
         second=jnp.array(False),
+        final=jnp.array(False),
         num_accepted=jnp.array(0),
         status=input_status(problem, x0, us),
     )
 
 
-def step(problem: Problem, state: ShootingState, solver: "AbstractShooting") -> ShootingState:
+def step(
+    problem: Problem, state: ShootingState, last: Bool[Array, ""], solver: "AbstractShooting"
+) -> ShootingState:
     """Search along the present law, then expand and sweep where that led.
 
     The first step only rolls out the starting controls: its law is zero. The expansion is not
     kept: carrying it through the loop costs more time than the few expansions that rejections
-    repeat.
+    repeat. The `last` step sweeps the solver's own model, undamped, where the iteration has ended.
     """
     bounds = problem.bounds
-    zero = jnp.zeros((), state.cost.dtype)
-    nominal = Trial(state.xs, state.us, state.cost, zero, jnp.array(False))
-    trial = search(
-        problem, nominal, state.sweep, bounds, state.round_off,
-        wanted=(state.sweep.ok | ~state.measured) & state.status.is_(Reason.RUNNING),
-        forced=~state.measured,
-    )  # fmt: skip
+    wanted = (state.sweep.ok | ~state.measured) & state.status.is_(Reason.RUNNING) & ~last
+    trial = _search(problem, state, solver, wanted)
     fraction = jnp.where(state.measured, trial.fraction, 0.0)
     # Where the exact second order has led to nothing, Gauss and Newton's is tried before more
     # regularisation.
     undone = state.second & (fraction == 0)
     lam, factor = _schedule(state, fraction, state.measured & ~undone)
-    second = solver.second_order & (state.gradient <= NEAR) & ~undone
-    model = expand(
-        problem, trial.xs, trial.us, second_order=second if solver.second_order else False
-    )
-    sweep, side = _law(model, state, lam, trial.us, bounds, solver.sweep)
+    lam = jnp.where(last, 0.0, lam)
+    second = solver.second_order & ((state.gradient <= NEAR) & ~undone | last)
+    model = solver.expand(problem, trial.xs, trial.us, second)
+    curvature = jnp.abs(state.sweep.curvature)
+    damping = lam * jnp.maximum(curvature, 1e-3 * curvature.mean())
+    box = None if bounds is None else (bounds[0] - trial.us, bounds[1] - trial.us)
+    sweep, side = solver.law(model, damping, box, state.side)
     start_cost = jnp.where(state.measured, state.start_cost, trial.cost)
     scale = cost_scale(trial.cost, start_cost)
     new = ShootingState(
@@ -132,20 +140,48 @@ def step(problem: Problem, state: ShootingState, solver: "AbstractShooting") -> 
         factor=factor,
         fraction=fraction,
         second=second,
+        final=jnp.array(True),
         num_accepted=state.num_accepted + (trial.accepted & state.measured),
         status=state.status,
     )
-    return eqx.tree_at(lambda s: s.status, new, _judge(problem, state, new, solver.tolerances))
+    judged = _judge(problem, state, new, solver.tolerances)
+    final = (lam == 0) & (second == solver.second_order)
+    new = eqx.tree_at(lambda s: (s.status, s.final), new, (judged, final))
+    return _settle(state, new, last)
 
 
-def _law(model, state: ShootingState, lam, us, bounds, engine: str) -> tuple[Sweep, Array]:
-    """Sweep through the model, damped by lambda times the last sweep's curvatures."""
-    curvature = jnp.abs(state.sweep.curvature)
-    damping = lam * jnp.maximum(curvature, 1e-3 * curvature.mean())
-    if bounds is None:
-        return lqr(model, damping, engine=engine), state.side
-    lower, upper = bounds[0] - us, bounds[1] - us
-    return box_lqr(model, lower, upper, damping, side=state.side, engine=engine)
+def _search(
+    problem: Problem, state: ShootingState, solver: "AbstractShooting", wanted: Array
+) -> Trial:
+    """Search along the state's law."""
+    bounds, sweep, side = problem.bounds, state.sweep, state.side
+    none = jnp.zeros((), state.cost.dtype)
+
+    def trial_of(fraction):
+        k = fraction * sweep.k
+        # A whole step ends on the bounds that its law holds; what is at one already stays there.
+        held = jnp.where((fraction == 1) & ~jnp.isnan(side), side, 0.0)
+        xs, us = rollout_law(problem, state.xs, state.us, k, sweep.K, bounds, held)
+        return xs, us, solver.merit(problem, xs, us, sweep)
+
+    def expected_of(fraction):
+        return -(fraction * sweep.linear + fraction**2 * sweep.quadratic)
+
+    nominal = Trial(state.xs, state.us, state.cost, none, jnp.array(False))
+    return search(
+        nominal, trial_of, expected_of, state.round_off, wanted=wanted, forced=~state.measured
+    )
+
+
+def _settle(state: ShootingState, new: ShootingState, last: Array) -> ShootingState:
+    """Take over the gains alone from a last step, and those only if its model is convex."""
+    good = new.sweep.ok & new.sweep.settled & (new.sweep.nonfinite < 0)
+    gains = jnp.where(good, new.sweep.K, state.sweep.K)
+    side = jnp.where(good, new.side, state.side)
+    settled = eqx.tree_at(
+        lambda s: (s.sweep.K, s.side, s.final), state, (gains, side, jnp.array(True))
+    )
+    return jax.tree.map(lambda a, b: jnp.where(last, a, b), settled, new)
 
 
 def _schedule(state: ShootingState, fraction: Array, wanted: Array) -> tuple[Array, Array]:
@@ -193,36 +229,84 @@ def _judge(problem, old: ShootingState, new: ShootingState, tolerances: Toleranc
 
 
 class AbstractShooting(AbstractMinimiser):
-    """A solver of this kind: it says when it has converged, and what order its model is of.
+    """A solver of this kind: what it expands, the law it makes of that, and what must fall.
 
     Attributes:
-        second_order: whether the model has the second derivatives of the dynamics.
-        sweep: how the local model is swept, "sequential" or "parallel" in time.
+        second_order: whether its model has the second derivatives of the dynamics.
     """
 
     second_order: eqx.AbstractClassVar[bool]
-    sweep: eqx.AbstractVar[str]
 
-    def __check_init__(self):
-        find_engine(self.sweep)
+    @abc.abstractmethod
+    def expand(
+        self,
+        problem: Problem,
+        xs: Float[Array, "T+1 nx"],
+        us: Float[Array, "T nu"],
+        near: bool | Bool[Array, ""],
+    ) -> LocalModel:
+        """Return the model around xs (T+1, nx), us (T, nu), the exact one if `near` the optimum."""
+
+    @abc.abstractmethod
+    def law(
+        self,
+        model: LocalModel,
+        damping: Float[Array, "T nu"],
+        box: Bounds | None,
+        guess: Float[Array, "T nu"],
+    ) -> tuple[Sweep, Float[Array, "T nu"]]:
+        """Return the law of the least cost on a model, and which controls it holds at bounds.
+
+        Arguments: damping (T, nu); bounds on du, each (T, nu), or None; and a guess of the answer's
+        second part, `side` of `Found`.
+        """
+
+    @abc.abstractmethod
+    def merit(
+        self, problem: Problem, xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"], law: Sweep
+    ) -> Float[Array, ""]:
+        """Return what each step must lower, shape (), for xs (T+1, nx), us (T, nu) and a law."""
 
     def init(self, problem, x0, us):
         """Return the state before anything was computed, from us (T, nu) and x0 (nx,)."""
         return init(problem, x0, us)
 
-    def step(self, problem, state):
+    def step(self, problem, state, last):
         """Search along the law, then expand and sweep anew; arrays keep their shapes."""
-        return step(problem, state, self)
+        return step(problem, state, last, self)
 
     def record(self, state):
         """Return cost, projected gradient, accepted fraction and lambda, each of shape ()."""
         return Record(state.cost, state.gradient, state.fraction, state.lam)
 
-    def policy(self, problem, state):
-        """Return the last gains around the last trajectory, xs (T+1, nx) and us (T, nu).
+    def final(self, state):
+        """Tell whether the gains are those of the solver's own model, undamped; shape ()."""
+        return state.final
+
+    def found(self, problem, state):
+        """Return the last trajectory, xs (T+1, nx) and us (T, nu), and the gains around it.
 
         Without noise the policy reproduces that trajectory: the step that the sweep would take
         next is not part of it.
         """
-        k = jnp.zeros_like(state.us)
-        return AffinePolicy(state.xs, state.us, k, state.sweep.K, problem.bounds)
+        return Found(state.xs, state.us, state.sweep.K, state.side)
+
+    def gains(self, problem, xs, us, side):
+        """Return the gains (T, nu, nx) of the model around xs (T+1, nx), us (T, nu)."""
+        return factorise(self.expand(problem, xs, us, True), side == 0).K
+
+
+def box_or_free_law(
+    model: LocalModel,
+    damping: Float[Array, "T nu"],
+    box: Bounds | None,
+    guess: Float[Array, "T nu"],
+    engine: str,
+) -> tuple[Sweep, Float[Array, "T nu"]]:
+    """Return the exact minimiser of the model, with its controls in a box or free.
+
+    Arguments and result as of `AbstractShooting.law`; `engine` sweeps.
+    """
+    if box is None:
+        return find_engine(engine).lqr(model, damping), jnp.zeros_like(damping)
+    return box_lqr(model, *box, damping, side=guess, engine=engine)

@@ -61,7 +61,7 @@ def dense(model, dx0):
             J += lx @ dx + lu @ du + 0.5 * (dx @ lxx @ dx + 2 * du @ lux @ dx + du @ luu @ du)
             return (fx @ dx + fu @ du, J), None
 
-        (dx, J), _ = jax.lax.scan(body, (dx0, 0.0), (*model[:-2], dus))
+        (dx, J), _ = jax.lax.scan(body, (dx0, 0.0), (*model.stages[:-1], dus))
         return J + model.vx @ dx + 0.5 * dx @ model.vxx @ dx
 
     zero = jnp.zeros_like(model.lu)

@@ -1,0 +1,48 @@
+"""The kernels as users call them: compiled; what is inside a loop calls the plain ones."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import ArrayLike, Float
+
+from .._types import LocalModel
+from . import _box_lqr, _boxqp, _riccati
+from ._engine import find_engine
+from ._riccati import Sweep
+
+box_lqr = eqx.filter_jit(_box_lqr.box_lqr)
+box_qp = eqx.filter_jit(_boxqp.box_qp)
+costates = eqx.filter_jit(_riccati.costates)
+evaluate = eqx.filter_jit(_riccati.evaluate)
+factorise = eqx.filter_jit(_riccati.factorise)
+solve_factorised = eqx.filter_jit(_riccati.solve_factorised)
+lqr_rollout = eqx.filter_jit(_riccati.lqr_rollout)
+
+
+def lqr(
+    model: LocalModel,
+    damping: ArrayLike | Float[ArrayLike, "T nu"] = 0.0,
+    *,
+    engine: str = "sequential",
+) -> Sweep:
+    """Minimise a local model's cost by a Riccati sweep.
+
+        V_k(dx) = min_du l_k + V_{k+1}(fx dx + fu du),    du = k + K dx
+
+    Damping d >= 0 adds sum_ki d_ki du_ki^2 / 2 to the model (Levenberg and Marquardt).
+
+    Arguments:
+        model: local expansion; every array but the last two leads with time.
+        damping: d, scalar or (T, nu) [cost per control unit squared].
+        engine: "sequential", or "parallel" in time (Sarkka & Garcia-Fernandez 2023), which gives
+            the same result, is made for accelerators and has no reverse-mode derivative.
+
+    Returns: `Sweep`.
+
+    Raises: ValueError for an unknown engine.
+    """
+    return _lqr(model, jnp.asarray(damping, model.lu.dtype), engine)
+
+
+@eqx.filter_jit
+def _lqr(model: LocalModel, damping, engine: str) -> Sweep:
+    return find_engine(engine).lqr(model, damping)

@@ -1,0 +1,131 @@
+"""One step of every sweep backwards through a local model.
+
+With V(dx) = v + v_x'dx + dx'V_xx dx/2 ahead of a step, and the noise's columns
+c_i + cx_i dx + cu_i du, the cost of the step and of what follows it is
+
+  Q    = v + sum_i c_i'V_xx c_i/2
+  Q_x  = l_x + f_x'v_x + sum_i cx_i'V_xx c_i    Q_xx = l_xx + f_x'V_xx f_x + sum_i cx_i'V_xx cx_i
+  Q_u  = l_u + f_u'v_x + sum_i cu_i'V_xx c_i    Q_ux = l_ux + f_u'V_xx f_x + sum_i cu_i'V_xx cx_i
+                                                  Q_uu = l_uu + f_u'V_xx f_u + sum_i cu_i'V_xx cu_i
+
+and under a law du = k + K dx, whichever,
+
+    v    <- Q + k'(Q_u + Q_uu k/2)
+    v_x  <- Q_x + Q_ux'k + K'(Q_u + Q_uu k)
+    V_xx <- l_xx + l_ux'K + K'l_ux + K'l_uu K + F'V_xx F + sum_i C_i'V_xx C_i
+
+with F = f_x + f_u K, C_i = cx_i + cu_i K (Joseph's form, which subtracts no large numbers). Under
+the best law, where Q_ux + Q_uu K = 0 in what is moved, V_xx <- Q_xx + K'Q_ux is the same; it takes
+a third less time, and is as exact in float64; in float32 it would lose V_xx to round-off. (Q_xx +
+K'Q_ux + Q_ux'K + K'Q_uu K, which holds for any law too, lost 15 times as much of a chain's gains.)
+
+Li (2006), eq. 4.12-4.18 (Theorem 1) is the special case l_xx = Q, l_uu = R, l_x = Q x, l_u = R u
+under the best law, k = -Q_uu^-1 Q_u, K = -Q_uu^-1 Q_ux.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._linalg import matmul, symmetrise
+from .._types import Noise, Stages
+
+
+class Value(NamedTuple):
+    """The cost from a state on, V(dx) = v + vx'dx + dx'vxx dx/2."""
+
+    v: Float[Array, ""]
+    vx: Float[Array, " nx"]
+    vxx: Float[Array, "nx nx"]
+
+
+class Action(NamedTuple):
+    """The cost of a step and of what follows it, Q(dx, du), by its derivatives at zero."""
+
+    q: Float[Array, ""]
+    x: Float[Array, " nx"]
+    u: Float[Array, " nu"]
+    xx: Float[Array, "nx nx"]
+    ux: Float[Array, "nu nx"]
+    uu: Float[Array, "nu nu"]
+
+
+def action(ahead: Value, stage: Stages) -> Action:
+    """Return Q of one step (the module's equations), for the value after it.
+
+    Arguments: the value ahead, and the step's slice of the model's stages.
+    """
+    x, u = pull(stage, ahead.vx)
+    VA, VB = matmul(ahead.vxx, stage.fx), matmul(ahead.vxx, stage.fu)
+    Q = Action(
+        ahead.v,
+        x,
+        u,
+        stage.lxx + matmul(stage.fx.T, VA),
+        stage.lux + matmul(stage.fu.T, VA),
+        stage.luu + matmul(stage.fu.T, VB),
+    )
+    if stage.noise is None:
+        return Q
+    return Action(*(a + b for a, b in zip(Q, _disturbed(stage, ahead.vxx), strict=True)))
+
+
+def pull(stage: Stages, vx: Float[Array, " nx *m"]) -> tuple[Array, Array]:
+    """Return l_x + f_x'v_x (nx, *m) and l_u + f_u'v_x (nu, *m), of one v_x or of m columns."""
+    lx, lu = (stage.lx, stage.lu) if vx.ndim == 1 else (stage.lx[:, None], stage.lu[:, None])
+    return lx + matmul(stage.fx.T, vx), lu + matmul(stage.fu.T, vx)
+
+
+def value(
+    ahead: Value, stage: Stages, Q: Action, k: Array, K: Array, *, best: bool = False
+) -> Value:
+    """Return the value before a step under the law du = k + K dx (the module's equations).
+
+    Arguments:
+        ahead, stage, Q: the value ahead, the step's stage and its `action`.
+        k, K: any law, (nu,) and (nu, nx).
+        best: whether the law minimises Q in what it moves.
+    """
+    after = matmul(Q.uu, k)
+    v = Q.q + jnp.sum(k * (Q.u + 0.5 * after))
+    vx = Q.x + matmul(Q.ux.T, k) + matmul(K.T, Q.u + after)
+    if best and ahead.vxx.dtype == jnp.float64:
+        return Value(v, vx, symmetrise(Q.xx + matmul(K.T, Q.ux)))
+    F = stage.fx + matmul(stage.fu, K)
+    across = matmul(K.T, stage.lux + 0.5 * matmul(stage.luu, K))
+    vxx = stage.lxx + 2 * across + matmul(F.T, matmul(ahead.vxx, F))
+    for C in () if stage.noise is None else _closed(stage.noise, K):
+        vxx = vxx + jnp.einsum("ixj,xy,iyk->jk", C, ahead.vxx, C)
+    return Value(v, vx, symmetrise(vxx))
+
+
+def _columns(noise: Noise, nx: int, nu: int) -> tuple[Array, Array, Array]:
+    """Return c (nw, nx), cx (nw, nx, nx) and cu (nw, nx, nu) of one step, zero where None."""
+    c, cx, cu = noise
+    cx = jnp.zeros((*c.shape, nx), c.dtype) if cx is None else cx
+    return c, cx, jnp.zeros((*c.shape, nu), c.dtype) if cu is None else cu
+
+
+def _closed(noise: Noise, K: Array) -> tuple[Array, ...]:
+    """Return the slopes of the noise in the state under gains K (nu, nx), if it has any."""
+    if noise.cx is None and noise.cu is None:
+        return ()
+    _, cx, cu = _columns(noise, K.shape[1], K.shape[0])
+    return (cx + cu @ K,)
+
+
+def _disturbed(stage: Stages, vxx: Array) -> Action:
+    """Return what the noise adds to Q: all its second moments, weighed by V_xx."""
+    assert stage.noise is not None
+    nx, nu = stage.fu.shape
+    c, cx, cu = _columns(stage.noise, nx, nu)
+    Vc, Vx, Vu = c @ vxx, vxx @ cx, vxx @ cu
+    return Action(
+        0.5 * jnp.sum(c * Vc),
+        jnp.einsum("ixj,ix->j", cx, Vc),
+        jnp.einsum("ixj,ix->j", cu, Vc),
+        jnp.einsum("ixj,ixk->jk", cx, Vx),
+        jnp.einsum("ixj,ixk->jk", cu, Vx),
+        jnp.einsum("ixj,ixk->jk", cu, Vu),
+    )

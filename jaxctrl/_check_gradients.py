@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ._problem import Problem, check_us, check_x0
+from ._simulate import simulate
 from ._solution import SolveError
 from ._solve import parts_name, run, solve
 from ._solver import AbstractSolver
@@ -25,16 +26,19 @@ TIGHT = 1e-7
 """The relative projected gradient below which a solve beside the optimum counts."""
 KINK = 30.0
 """How many uncertainties apart the quotients of two sides are at a kink, not only noisy."""
+ASIDE = 1e-2
+"""By how much the disturbed run starts aside, relative to one more than each state's range."""
 TRIFLE = 1e-6
 """The relative error below which no kink is looked for."""
-OUTPUTS = ("cost", "xs[-1]", "us")
+OUTPUTS = ("cost", "xs[-1]", "us", "gains", "closed loop")
 
 
 class GradientRow(NamedTuple):
     """One line of a report: a derivative of one output along one direction of one input.
 
     Attributes:
-        name: of the input, such as `plant.skeleton.m2`. output: "cost", "xs[-1]" or "us".
+        name: of the input, such as `plant.skeleton.m2`. output: "cost", "xs[-1]", "us", "gains", or
+            "closed loop", the states of the policy's run from a start that is pushed aside.
         derivative, difference: norms of the derivative along the input's direction, and of the
             difference quotient. The direction is random, with entries of 0.5 to 1 times the
             input's largest one (0.001 where all are zero), and the same in every report.
@@ -79,12 +83,12 @@ class GradientReport:
 
     def __str__(self) -> str:
         width = max(len(row.name) for row in self.rows)
-        head = f"{'input':<{width}}  output  {'derivative':>12}{'difference':>12}{'error':>9}"
+        head = f"{'input':<{width}}  output     {'derivative':>12}{'difference':>12}{'error':>9}"
         lines = [head + f"{'uncertain':>10}{'step':>9}{'side':>5}{'transp.':>9}"]
         for row in self.rows:
             lines.append(
-                f"{row.name:<{width}}  {row.output:<6}"
-                f"{row.derivative:>13.4e}{row.difference:>12.4e}"
+                f"{row.name:<{width}}  {row.output:<11}"
+                f"{row.derivative:>12.4e}{row.difference:>12.4e}"
                 f"{row.error:>9.1e}{row.uncertainty:>10.1e}{row.step:>9.1e}{row.side:>5}"
                 f"{row.transposed:>9.1e}"
             )
@@ -105,13 +109,14 @@ def check_gradients(
     """Compare the derivatives of a solve, for every input, with differences of tight solves.
 
     For x0 and every array of the problem, one random direction v is drawn, of the input's own
-    size and the same in every call. The derivatives of cost, last state and controls along v are
-    compared with central differences, extrapolated (Richardson) from two steps, of solves by `DDP`
-    to round-off, each started at the optimum itself. Of several steps the one is taken whose
-    quotients agree best: long ones change which bounds hold. Where a control just meets its bound,
-    with a gradient of zero, the optimum has two one-sided derivatives: when the difference
-    quotients of the two sides tell them apart, the nearer one is compared. (A muscle at rest at the
-    end of a movement, where its excitation no longer changes the cost, is such a control.)
+    size and the same in every call. The derivatives along v of cost, last state, controls, gains
+    and of a disturbed run under the policy are compared with central differences, extrapolated
+    (Richardson) from two steps, of solves by `DDP` to round-off, each started at the optimum
+    itself; gains are the solver's own there. Of several steps the one is taken whose quotients
+    agree best: long ones change which bounds hold. Where a control just meets its bound, with a
+    gradient of zero, the optimum has two one-sided derivatives: when the difference quotients of
+    the two sides tell them apart, the nearer one is compared. (A muscle at rest at the end of a
+    movement, where its excitation no longer changes the cost, is such a control.)
 
     Meant for a look at a new problem, in float64: it solves some twenty times per input.
 
@@ -164,10 +169,20 @@ class _Solves(eqx.Module):
     start: Array
     optimum: Array
 
-    def _outputs(self, inputs, solver, us) -> tuple[tuple[Array, Array, Array], Any]:
+    def _outputs(self, inputs, solver, us) -> tuple[tuple[Array, ...], Any]:
         whole = eqx.combine(inputs, self.static)
         solution = run(whole["problem"], solver, whole["x0"], us, 500)
-        return (solution.cost, solution.xs[-1], solution.us), solution
+        return (
+            solution.cost,
+            solution.xs[-1],
+            solution.us,
+            *self._policy(whole, solution),
+        ), solution
+
+    def _policy(self, whole, solution) -> tuple[Array, Array]:
+        """Return the gains, and the states of a run that starts aside."""
+        aside = whole["x0"] + ASIDE * (1 + jnp.max(jnp.abs(solution.xs), axis=0))
+        return solution.policy.K, simulate(whole["problem"], solution.policy, aside).xs
 
     @eqx.filter_jit
     def forward(self, inputs, tangents):
@@ -187,7 +202,12 @@ class _Solves(eqx.Module):
         there = jax.tree.map(lambda leaf, tangent: leaf + h * tangent, inputs, tangents)
         # Tolerances that are never met: it goes on until the gradient falls no more.
         tight = DDP(gradient_tolerance=0.0)
-        return self._outputs(there, tight, self.optimum)
+        values, solution = self._outputs(there, tight, self.optimum)
+        if isinstance(self.solver, DDP):
+            return values, solution
+        # From that optimum the solver takes no step: its gains there.
+        own = self._outputs(there, self.solver, solution.us)[0]
+        return (*values[:3], *own[3:]), solution
 
 
 def _compare(name: str, found: _Solves, inputs, tangents, rng) -> list[GradientRow]:

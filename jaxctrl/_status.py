@@ -27,16 +27,17 @@ class Reason(enum.IntEnum):
     STALLED = 9
     LINE_SEARCH_FAILED = 10
     REGULARISATION_EXHAUSTED = 11
-    BVP_MAX_NODES = 12
-    BVP_SINGULAR = 13
-    BVP_DIVERGED = 14
-    BVP_NO_MINIMUM = 15
-    BVP_OFF_GRID = 16
-    NONFINITE_INPUT = 17
-    INFEASIBLE_BOUNDS = 18
-    NONFINITE_DYNAMICS = 19
-    NONFINITE_COST = 20
-    NONFINITE_DERIVATIVE = 21
+    UNBOUNDED_COST = 12
+    BVP_MAX_NODES = 13
+    BVP_SINGULAR = 14
+    BVP_DIVERGED = 15
+    BVP_NO_MINIMUM = 16
+    BVP_OFF_GRID = 17
+    NONFINITE_INPUT = 18
+    INFEASIBLE_BOUNDS = 19
+    NONFINITE_DYNAMICS = 20
+    NONFINITE_COST = 21
+    NONFINITE_DERIVATIVE = 22
 
     @property
     def message(self) -> str:
@@ -46,7 +47,7 @@ class Reason(enum.IntEnum):
 
 _MESSAGES = {
     Reason.CONVERGED_GRADIENT: "converged: the projected gradient is at its tolerance and the "
-    "expected reduction of the cost at round-off",
+    "cost cannot be lowered further, but for round-off",
     Reason.CONVERGED_COST: "converged: the gradient and the relative reduction of the cost are "
     "below their tolerances",
     Reason.CONVERGED_STEP: "converged: the gradient and the relative step of the controls are "
@@ -70,6 +71,8 @@ _MESSAGES = {
     "round-off",
     Reason.REGULARISATION_EXHAUSTED: "failed: the Hessian of the controls is not positive definite "
     "at step {index}, even with the largest regularisation",
+    Reason.UNBOUNDED_COST: "failed: the cost falls without end, 1/eps times below its start; price "
+    "the controls or the states, or bound the controls",
     Reason.BVP_MAX_NODES: "not converged: the mesh of the boundary-value problem reached "
     "`max_nodes`, or intervals at round-off",
     Reason.BVP_SINGULAR: "failed: a singular Jacobian in the collocation system of the "

@@ -36,6 +36,7 @@ from ._judging import (
     input_status,
     metric,
     no_sweep,
+    price_of_moving,
     projected_gradient,
     rounding,
     start_status,
@@ -147,7 +148,9 @@ def _search(problem: Problem, state: DescentState, solver: "AbstractDescent") ->
     bounds, g = problem.bounds, state.steepness
     # One number for all times: the Hessian is often a multiple of one and few other directions,
     # which a scale for each time would hide.
-    weight = jnp.exp(jnp.mean(jnp.log(metric(state.look.sweep.curvature)), axis=0))
+    weight = jnp.exp(
+        jnp.mean(jnp.log(metric(state.look.sweep.curvature, price_of_moving(state.us, g))), axis=0)
+    )
     scale = cost_scale(state.cost, state.start_cost)
     point = Point(state.us, g, weight, _movable(state.us, g, bounds), scale)
     direction, first, memory = solver._direction(point, state)

@@ -110,14 +110,33 @@ def projected_gradient(
 
     Arguments: us, gradient, curvature of shape (T, nu); scale, the |J|; bounds (T, nu) or None.
     """
-    D = metric(curvature)
+    D = metric(curvature, price_of_moving(us, gradient))
     p = us - clip(us - gradient / D, bounds)
     return jnp.sqrt(jnp.sum(D * p * p / scale))
 
 
-def metric(curvature: Float[Array, "T nu"]) -> Float[Array, "T nu"]:
-    """Return the positive diagonal (T, nu) in which gradients are measured."""
+def price_of_moving(
+    us: Float[Array, "T nu"], gradient: Float[Array, "T nu"]
+) -> Float[Array, "T nu"]:
+    """Return a curvature (T, nu) for controls of a model that has none, in its units.
+
+    With the largest |gradient| of each control over its largest value, a step down the gradient is
+    about as large as the controls are (as 1, where they are all zero).
+    """
+    size = jnp.max(jnp.abs(us), axis=0)
+    price = jnp.max(jnp.abs(gradient), axis=0) / jnp.where(size > 0, size, 1.0)
+    return jnp.broadcast_to(price, us.shape)
+
+
+def metric(
+    curvature: Float[Array, "T nu"], otherwise: Float[Array, "T nu"]
+) -> Float[Array, "T nu"]:
+    """Return the positive diagonal (T, nu) in which gradients are measured.
+
+    It is |curvature|, or `otherwise` where the whole model has none.
+    """
     D = jnp.abs(curvature)
+    D = jnp.where(D.max() > jnp.finfo(D.dtype).eps * otherwise.max(), D, otherwise)
     # Where a control hardly matters, its gradient over its curvature is round-off.
     D = jnp.maximum(D, jnp.finfo(D.dtype).eps ** 0.6 * D.mean())
     return jnp.where(D > 0, D, 1.0)
@@ -170,8 +189,11 @@ def converged(
     relative = expected / scale
     largest = jnp.max(jnp.abs(us))
     sure = sweep.ok & sweep.settled & sure
-    stationary = sure & (gradient <= gradient_tol) & (expected >= 0)
+    # At the optimum the expectation is round-off itself, of either sign.
+    stationary = sure & (gradient <= gradient_tol) & (expected >= -round_off)
     at_round_off = expected <= round_off
+    # Nothing to gain, and no curvature either: the cost does not depend on the controls.
+    flat = (sweep.gradient == 0).all() & (sweep.curvature == 0).all() & first
     # In float32 the states' own rounding may keep the gradient of a stiff problem from falling.
     coarse = sure & (cost.dtype != jnp.float64) & (jnp.abs(expected) <= round_off)
     for condition, reason, index in (
@@ -180,7 +202,7 @@ def converged(
          Reason.CONVERGED_STEP, -1),
         (stationary & (relative <= cost_tol), Reason.CONVERGED_COST, -1),
         (stationary & at_round_off, Reason.CONVERGED_GRADIENT, -1),
-        (stationary & at_round_off & first, Reason.STATIONARY_START, -1),
+        ((stationary & at_round_off & first) | flat, Reason.STATIONARY_START, -1),
         (sweep.nonfinite >= 0, Reason.NONFINITE_DERIVATIVE, sweep.nonfinite),
     ):  # fmt: skip
         status = _status.where(condition, Status.of(reason, index), status)

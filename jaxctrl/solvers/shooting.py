@@ -24,6 +24,7 @@ from ._judging import (
     expected_reduction,
     input_status,
     no_sweep,
+    price_of_moving,
     projected_gradient,
     rounding,
     start_status,
@@ -114,14 +115,15 @@ def step(
     trial = _search(problem, state, solver, wanted)
     fraction = jnp.where(state.measured, trial.fraction, 0.0)
     # Where the exact second order has led to nothing, Gauss and Newton's is tried before more
-    # regularisation.
+    # regularisation, and the exact one where Gauss and Newton's is not convex.
     undone = state.second & (fraction == 0)
-    lam, factor = _schedule(state, fraction, state.measured & ~undone)
+    trying = solver.second_order & state.measured & ~state.second & ~state.sweep.ok
+    anew = undone | (trying & (state.fraction > 0))
+    lam, factor = _schedule(state, fraction, state.measured & ~anew)
     lam = jnp.where(last, 0.0, lam)
-    second = solver.second_order & ((state.gradient <= NEAR) & ~undone | last)
+    second = solver.second_order & (((state.gradient <= NEAR) | trying) & ~undone | last)
     model = solver.expand(problem, trial.xs, trial.us, second)
-    curvature = jnp.abs(state.sweep.curvature)
-    damping = lam * jnp.maximum(curvature, 1e-3 * curvature.mean())
+    damping = lam * _marquardt(state)
     box = None if bounds is None else (bounds[0] - trial.us, bounds[1] - trial.us)
     sweep, side = solver.law(model, damping, box, state.side)
     start_cost = jnp.where(state.measured, state.start_cost, trial.cost)
@@ -148,6 +150,15 @@ def step(
     final = (lam == 0) & (second == solver.second_order)
     new = eqx.tree_at(lambda s: (s.status, s.final), new, (judged, final))
     return _settle(state, new, last)
+
+
+def _marquardt(state: ShootingState) -> Array:
+    """Return the diagonal (T, nu) of which damping is a multiple, from the last sweep."""
+    curvature = jnp.abs(state.sweep.curvature)
+    curvature = jnp.maximum(curvature, 1e-3 * curvature.mean())
+    price = price_of_moving(state.us, state.sweep.gradient)
+    none = curvature.max() <= jnp.finfo(price.dtype).eps * price.max()
+    return jnp.where(none, price, curvature)
 
 
 def _search(
@@ -204,17 +215,28 @@ def _schedule(state: ShootingState, fraction: Array, wanted: Array) -> tuple[Arr
 def _judge(problem, old: ShootingState, new: ShootingState, tolerances: Tolerances) -> Status:
     """Say why to stop, or RUNNING."""
     rejected = old.measured & (new.fraction == 0)
+    vain = rejected & old.sweep.ok & old.sweep.settled
+    tolerance = tolerances.resolve(new.cost.dtype)[0]
+    # No part of an undamped step lowers the cost, as near a goal whose cost is a difference of
+    # large numbers: the gradient is within its tolerance, and costs can tell no more.
+    at_rest = vain & (old.lam <= LAM_SURE) & (old.gradient <= tolerance)
     rejected &= ~old.second
     stuck = rejected & (new.lam > LAM_MAX)
     solved = old.measured & ~(old.second & (new.fraction == 0)) & old.sweep.ok & old.sweep.settled
     hopeless = solved & (expected_reduction(old.sweep) <= old.round_off)
     hopeless &= jnp.where(rejected, old.lam >= LAM_SURE, new.gradient >= old.gradient)
+    hopeless &= new.gradient > tolerance
+    bottomless = old.measured & (
+        new.cost < -jnp.abs(old.start_cost) / jnp.finfo(new.cost.dtype).eps
+    )
 
     status = Status.of(Reason.RUNNING)
     for condition, reason, index in (
         (hopeless, Reason.STALLED, -1),
         (stuck & old.sweep.ok, Reason.LINE_SEARCH_FAILED, -1),
         (stuck & ~old.sweep.ok, Reason.REGULARISATION_EXHAUSTED, old.sweep.failed),
+        (bottomless & (old.start_cost != 0), Reason.UNBOUNDED_COST, -1),
+        (at_rest, Reason.CONVERGED_GRADIENT, -1),
     ):
         status = _status.where(condition, Status.of(reason, index), status)
     status = converged(

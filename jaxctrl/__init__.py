@@ -58,6 +58,7 @@ if TYPE_CHECKING:
         FunctionPlant as FunctionPlant,
     )
     from ._problem import Problem as Problem
+    from ._pulses import Pulses as Pulses
     from ._simulate import Trajectory as Trajectory, simulate as simulate
     from ._solution import Solution as Solution, SolveError as SolveError
     from ._solve import solve as solve
@@ -94,6 +95,7 @@ _WHERE = {
     "_noise": ("AbstractNoise", "AdditiveNoise", "SignalDependentNoise"),
     "_plant": ("AbstractArm", "AbstractHand", "AbstractPlant", "FunctionPlant"),
     "_problem": ("Problem",),
+    "_pulses": ("Pulses",),
     "_simulate": ("Trajectory", "simulate"),
     "_status": ("Reason", "Status"),
     "_types": ("LocalModel",),

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         problems as problems,
         tasks as tasks,
     )
+    from ._audit import Audit as Audit, audit as audit
     from ._batch import best as best, solve_batch as solve_batch
     from ._check_gradients import (
         GradientReport as GradientReport,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
         SumCost as SumCost,
     )
     from ._cpu import enable_fast_cpu as enable_fast_cpu
+    from ._files import load as load, save as save
     from ._integrate import (
         RK4 as RK4,
         AbstractIntegrator as AbstractIntegrator,
@@ -112,8 +114,10 @@ _WHERE = {
         "Record",
         "Tolerances",
     ),
+    "_audit": ("Audit", "audit"),
     "_batch": ("best", "solve_batch"),
     "_check_gradients": ("GradientReport", "GradientRow", "check_gradients"),
+    "_files": ("load", "save"),
     "_solution": ("Solution", "SolveError"),
     "_solve": ("solve",),
 }

@@ -42,6 +42,8 @@ FLOORS = {
     "_solver": 4,
     "_solution": 4,
     "_adjoint": 4,
+    "_audit": 4,
+    "_files": 4,
     "_solve": 4,
     "_batch": 4,
     "solvers": 5,
@@ -58,7 +60,7 @@ WITHIN = {
     0: ["_version", "_types", "_status", "_linalg", "_checks", "_cpu", "_jacobian"],
     1: ["_plant", "_cost", "_noise", "_integrate", "_pulses"],
     3: ["_controller", "_simulate", "_local_model", "plants", "tasks"],
-    4: ["_solver", "_solution", "_adjoint", "_solve", "_batch"],
+    4: ["_solver", "_solution", "_audit", "_files", "_adjoint", "_solve", "_batch"],
     5: ["solvers", "_check_gradients", "problems"],
     7: ["experiments", "bench"],
 }

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         problems as problems,
         tasks as tasks,
     )
+    from ._audit import Audit as Audit, audit as audit
     from ._batch import best as best, solve_batch as solve_batch
     from ._check_gradients import (
         GradientReport as GradientReport,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
         SumCost as SumCost,
     )
     from ._cpu import enable_fast_cpu as enable_fast_cpu
+    from ._files import load as load, save as save
     from ._integrate import (
         RK4 as RK4,
         AbstractIntegrator as AbstractIntegrator,
@@ -58,6 +60,7 @@ if TYPE_CHECKING:
         FunctionPlant as FunctionPlant,
     )
     from ._problem import Problem as Problem
+    from ._pulses import Pulses as Pulses
     from ._simulate import Trajectory as Trajectory, simulate as simulate
     from ._solution import Solution as Solution, SolveError as SolveError
     from ._solve import solve as solve
@@ -94,6 +97,7 @@ _WHERE = {
     "_noise": ("AbstractNoise", "AdditiveNoise", "SignalDependentNoise"),
     "_plant": ("AbstractArm", "AbstractHand", "AbstractPlant", "FunctionPlant"),
     "_problem": ("Problem",),
+    "_pulses": ("Pulses",),
     "_simulate": ("Trajectory", "simulate"),
     "_status": ("Reason", "Status"),
     "_types": ("LocalModel",),
@@ -110,8 +114,10 @@ _WHERE = {
         "Record",
         "Tolerances",
     ),
+    "_audit": ("Audit", "audit"),
     "_batch": ("best", "solve_batch"),
     "_check_gradients": ("GradientReport", "GradientRow", "check_gradients"),
+    "_files": ("load", "save"),
     "_solution": ("Solution", "SolveError"),
     "_solve": ("solve",),
 }

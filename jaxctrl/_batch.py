@@ -11,6 +11,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import ArrayLike
 
 from ._checks import check_array, is_concrete
+from ._controller import AffinePolicy
 from ._problem import Problem
 from ._solution import Solution
 from ._solve import solve
@@ -24,7 +25,7 @@ def solve_batch(
     problem: Problem,
     solver: AbstractSolver,
     x0s: ArrayLike,
-    uss: ArrayLike | None = None,
+    uss: ArrayLike | AffinePolicy | None = None,
     *,
     max_steps: int = 500,
     chunk: int | None = None,
@@ -40,7 +41,8 @@ def solve_batch(
         problem: one problem, or a batch of them, every array with a leading axis B.
         solver: as in `solve`.
         x0s: starting states, shape (B, nx), or (nx,) for all.
-        uss: starting controls, shape (B, T, nu), (T, nu) for all, or None for the nominal ones.
+        uss: starting controls, shape (B, T, nu), (T, nu) for all, or None for the nominal ones; or
+            a policy, as in `solve`: one for all, or a batch, `solutions.policy`.
         max_steps: as in `solve`.
         chunk: how many lanes to solve side by side where that is done; by default as many as fit.
 
@@ -58,6 +60,11 @@ def solve_batch(
     fixed: list[Any] = [None if batched else problem, None, None]
     for i, (name, value, rank) in enumerate((("x0s", x0s, 1), ("uss", uss, 2)), start=1):
         if value is None:
+            continue
+        if isinstance(value, AffinePolicy):
+            batch = value.us.ndim == 3
+            (lanes if batch else fixed)[i] = value
+            sizes |= {name: len(value.us)} if batch else {}
             continue
         single = (one.plant.nx,) if rank == 1 else (one.num_steps, one.plant.nu)
         shape = np.shape(value)

@@ -25,6 +25,13 @@ class AbstractNoise(eqx.Module):
         """Return F(x, u, t), shape (nx, nw): state units per s^(1/2)."""
 
 
+def _each(intensity: Array, u: Float[Array, " nu"], further: str = "") -> Float[Array, " nu"]:
+    """Return one intensity for each control; raises ValueError when these are of another number."""
+    if intensity.shape not in ((), u.shape):
+        raise ValueError(f"intensity: shape {intensity.shape}, wanted () or {u.shape}{further}")
+    return jnp.broadcast_to(intensity, u.shape)
+
+
 def _control_jacobian(plant, x, u, t):
     return jax.jacfwd(lambda u: plant(x, u, t))(u)
 
@@ -39,6 +46,8 @@ class SignalDependentNoise(AbstractNoise):
     Arguments:
         intensity: sigma [s^(1/2)] (per step and without unit for a discrete plant), scalar or
             shape (nu,).
+
+    Raises ValueError at the call for an intensity of another shape.
     """
 
     intensity: Array = eqx.field(converter=array_leaf)
@@ -53,7 +62,7 @@ class SignalDependentNoise(AbstractNoise):
 
     def __call__(self, plant, x, u, t):
         """Return df/du diag(sigma u), shape (nx, nu)."""
-        return _control_jacobian(plant, x, u, t) * (self.intensity * u)
+        return _control_jacobian(plant, x, u, t) * (_each(self.intensity, u) * u)
 
 
 class AdditiveNoise(AbstractNoise):
@@ -65,7 +74,7 @@ class AdditiveNoise(AbstractNoise):
     Arguments:
         intensity: sigma, of shape (), (nu,) or (nx, nw).
 
-    Raises ValueError at the call when a matrix has not nx rows.
+    Raises ValueError at the call for an intensity of another shape.
     """
 
     intensity: Array = eqx.field(converter=array_leaf)
@@ -73,9 +82,10 @@ class AdditiveNoise(AbstractNoise):
     def __call__(self, plant, x, u, t):
         """Return F, shape (nx, nu) or (nx, nw)."""
         if self.intensity.ndim < 2:
-            return _control_jacobian(plant, x, u, t) * jnp.broadcast_to(self.intensity, u.shape)
-        if self.intensity.shape[0] != plant.nx:
+            further = f", or ({plant.nx}, nw)"
+            return _control_jacobian(plant, x, u, t) * _each(self.intensity, u, further)
+        if self.intensity.ndim > 2 or self.intensity.shape[0] != plant.nx:
             raise ValueError(
-                f"intensity: shape {self.intensity.shape}, wanted (), (nu,) or ({plant.nx}, nw)"
+                f"intensity: shape {self.intensity.shape}, wanted (), {u.shape} or ({plant.nx}, nw)"
             )
         return self.intensity

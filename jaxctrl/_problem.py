@@ -10,12 +10,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import check_array, is_concrete
-from ._controller import clip
 from ._cost import AbstractCost, Events, step_costs
 from ._integrate import AbstractIntegrator, Euler, NextState
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant
-from ._types import Bounds, array_leaf, as_bounds
+from ._types import Bounds, array_leaf, as_bounds, clip
 
 
 class Problem(eqx.Module):
@@ -230,8 +229,8 @@ def _bounds_shape(bounds, nu: int, num_steps: int) -> tuple[int, ...]:
     return (num_steps, nu) if per_step else (nu,)
 
 
-def check_x0(problem: Problem, x0: ArrayLike) -> Float[Array, " nx"]:
-    """Return x0 as an array (nx,); raises ValueError or TypeError naming x0."""
+def check_x0(problem: Problem, x0: ArrayLike, name: str = "x0") -> Float[Array, " nx"]:
+    """Return x0 as an array (nx,); raises ValueError or TypeError naming it."""
     nx = problem.plant.nx
     shape = np.shape(x0) if not isinstance(x0, Callable) else ()
     hint = ""
@@ -241,7 +240,7 @@ def check_x0(problem: Problem, x0: ArrayLike) -> Float[Array, " nx"]:
         hint = "a batch goes through jax.vmap"
     elif hasattr(problem.plant, "lift"):
         hint = "plant.lift(x0) or model.start(task, x0) gives it from a state of the arm"
-    return check_array("x0", x0, (nx,), hint)
+    return check_array(name, x0, (nx,), hint)
 
 
 def check_us(problem: Problem, us: ArrayLike | None) -> Float[Array, "T nu"]:

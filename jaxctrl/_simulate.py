@@ -1,28 +1,38 @@
 """Run a controller on a plant, with or without noise: the only closed-loop scan."""
 
 import warnings
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from ._checks import is_concrete
 from ._controller import AbstractController, AffinePolicy, OpenLoop
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant
 from ._problem import Problem, check_x0
+from ._pulses import Pulses, Pushed
 from ._types import promote
 
 
 class Trajectory(eqx.Module):
-    """What happened: times ts (T+1,) [s], states xs (T+1, nx), controls us (T, nu), costs (T+1,).
+    """What happened: times, states, what was sensed, controls and costs.
 
-    `costs` holds the cost of each step and of the last state; `cost` is their sum.
+    Attributes:
+        ts: times of the states [s], shape (T+1,).
+        xs: true states, shape (T+1, nx).
+        us: controls, shape (T, nu).
+        ys: what the controller sensed at each step, shape (T, ny).
+        costs: the cost of each step and of the last state, shape (T+1,); `cost` is their sum.
     """
 
     ts: Float[Array, " T+1"]
     xs: Float[Array, "T+1 nx"]
     us: Float[Array, "T nu"]
+    ys: Float[Array, "T ny"]
     costs: Float[Array, " T+1"]
 
     @property
@@ -36,9 +46,11 @@ def simulate(
     controller: AbstractController,
     x0: ArrayLike,
     *,
+    belief: ArrayLike | None = None,
     key: Array | None = None,
     plant: AbstractPlant | None = None,
     noise: AbstractNoise | None = None,
+    pulses: Pulses | None = None,
 ) -> Trajectory:
     """Run a controller from x0 for the problem's duration.
 
@@ -47,37 +59,30 @@ def simulate(
     `jax.vmap` over keys.
 
     Arguments:
-        problem: grid, plant, cost and noise. Its arrays, the controller's and x0 are promoted to
-            one floating dtype, the widest among them.
+        problem: grid, plant, cost and noise. All arrays among the arguments are promoted to one
+            floating dtype, the widest among them.
         controller: what acts, such as `solution.policy` or `OpenLoop(us)`.
         x0: true starting state, shape (nx,).
+        belief: where the controller believes to start, shape (nx,); x0 by default.
         key: a `jax.random.key`; without one nothing is random and the problem's noise is off.
-        plant, noise: what really moves and disturbs, where that differs from the problem's.
+        plant, noise: what really moves and disturbs, where that differs from the problem's. The
+            controller is handed the problem as it is.
+        pulses: perturbations from outside.
 
     Returns: `Trajectory`; its costs are the problem's, for the plant that really moved.
 
-    Raises: ValueError or TypeError, naming the argument, when x0 or key do not fit, or when
-    `noise` is given without a key.
+    Raises: ValueError or TypeError, naming the argument, when one does not fit the problem or is
+    not finite where that can be known, when `noise` is given without a key, and when the
+    controller returns other shapes or dtypes than it should.
     """
-    if not isinstance(controller, AbstractController):
-        raise TypeError(
-            f"controller: solution.policy or a controller is wanted, got {type(controller)}"
-        )
+    if not isinstance(problem, Problem):
+        raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
+    problem.check_single()
     x0 = check_x0(problem, x0)
-    if plant is not None:
-        if not isinstance(plant, AbstractPlant):
-            raise TypeError(
-                f"plant: a plant is wanted, such as InField(arm, Curl()), got {plant!r}"
-            )
-        if (plant.nx, plant.nu) != (problem.plant.nx, problem.plant.nu):
-            raise ValueError(
-                f"plant: {plant.nx} states and {plant.nu} controls, wanted "
-                f"{problem.plant.nx} and {problem.plant.nu}"
-            )
-        problem = eqx.tree_at(lambda p: p.plant, problem, plant)
-    if noise is not None and key is None:
-        raise ValueError("key: wanted together with `noise`, got None")
-    noise = problem.noise if noise is None else noise
+    belief = x0 if belief is None else check_x0(problem, belief, "belief")
+    _check_controller(controller, problem)
+    mover = problem.plant if plant is None else _check_plant(plant, problem.plant)
+    noise = _check_noise(problem.noise if noise is None else noise, noise is not None, key)
     if key is not None:
         _check_key(key)
         if noise is None and isinstance(controller, AffinePolicy | OpenLoop):
@@ -85,8 +90,50 @@ def simulate(
                 "key: given, but nothing is random: neither the problem nor this call has `noise`",
                 stacklevel=2,
             )
-    problem, controller, x0, noise = promote((problem, controller, x0, noise))
-    return _run(problem, controller, x0, key, noise)
+    pulses = Pulses() if pulses is None else pulses
+    if not isinstance(pulses, Pulses):
+        raise TypeError(f"pulses: jc.Pulses are wanted, got {pulses!r}")
+    pulses.check(mover, problem.num_steps)
+    problem, controller, mover, noise, pulses, x0, belief = promote(
+        (problem, controller, mover, noise, pulses, x0, belief)
+    )
+    return _run(problem, controller, mover, noise, pulses, x0, belief, key)
+
+
+def _check_controller(controller: Any, problem: Problem) -> None:
+    if not isinstance(controller, AbstractController):
+        raise TypeError(
+            f"controller: solution.policy or a controller is wanted, got {type(controller)}"
+        )
+    if (check := getattr(controller, "check", None)) is not None:
+        check(problem)
+
+
+def _check_plant(plant: Any, own: AbstractPlant) -> AbstractPlant:
+    if not isinstance(plant, AbstractPlant):
+        raise TypeError(f"plant: a plant is wanted, such as InField(arm, Curl()), got {plant!r}")
+    if (plant.nx, plant.nu) != (own.nx, own.nu):
+        raise ValueError(
+            f"plant: {plant.nx} states and {plant.nu} controls, wanted {own.nx} and {own.nu}"
+        )
+    if plant.discrete != own.discrete:
+        kinds = [("a continuous", "a discrete")[p.discrete] for p in (plant, own)]
+        raise ValueError(f"plant: {kinds[0]} one for the problem of {kinds[1]} plant")
+    return plant
+
+
+def _check_noise(noise: Any, given: bool, key: Any) -> AbstractNoise | None:
+    if noise is None:
+        return None
+    if not isinstance(noise, AbstractNoise):
+        raise TypeError(f"noise: a noise such as jc.AdditiveNoise is wanted, got {noise!r}")
+    if given and key is None:
+        raise ValueError("key: wanted together with `noise`, got None")
+    for path, leaf in jax.tree_util.tree_leaves_with_path(noise):
+        known = eqx.is_inexact_array(leaf) and is_concrete(leaf)
+        if known and not np.isfinite(np.asarray(leaf)).all():
+            raise ValueError(f"noise: {jax.tree_util.keystr(path)[1:]} is not finite: {leaf}")
+    return noise
 
 
 def _check_key(key) -> None:
@@ -100,28 +147,90 @@ def _check_key(key) -> None:
 
 
 @eqx.filter_jit
-def _run(problem: Problem, controller, x0, key, noise) -> Trajectory:
-    num_steps, scale = problem.num_steps, jnp.sqrt(problem.rate)
+def _run(problem: Problem, controller, plant, noise, pulses, x0, belief, key) -> Trajectory:
+    T, scale = problem.num_steps, jnp.sqrt(problem.rate)
     if key is None:
         start_key, keys = None, None
     else:
         start_key, steps_key = jax.random.split(key)
-        keys = jax.random.split(steps_key, num_steps)
+        keys = jax.random.split(steps_key, T)
+    _check_step(problem, controller, belief, start_key)
 
     def body(carry, inputs):
         x, memory = carry
-        k, t, key = inputs
+        i, t, key, pulse = inputs
         noise_key, control_key = (None, None) if key is None else jax.random.split(key)
-        memory, u = controller.step(memory, x, k, control_key)
-        after = problem.step(x, u, t)
+        y = x if pulse.sensed is None else x + pulse.sensed
+        memory, u = controller.step(memory, y, i, t, control_key)
+        pushed = plant if pulse.forces is None else Pushed(plant, pulse.forces)
+        after = problem.integrator(pushed, x, u, t, problem.dt)
+        if pulse.states is not None:
+            after = after + pulse.states
         if noise is not None and noise_key is not None:
-            F = noise(problem.plant, x, u, t)
+            F = _diffusion(noise, plant, x, u, t)
             xi = jax.random.normal(noise_key, F.shape[1:], F.dtype)
             after = after + scale * F @ xi
-        return (after, memory), (after, u)
+        return (after, memory), (after, u, y)
 
-    carry = (x0, controller.init(x0, start_key))
-    inputs = (jnp.arange(num_steps), problem.ts[:-1], keys)
-    _, (xs, us) = jax.lax.scan(body, carry, inputs)
+    carry = (x0, controller.init(problem, belief, start_key))
+    inputs = (jnp.arange(T), problem.ts[:-1], keys, pulses)
+    _, (xs, us, ys) = jax.lax.scan(body, carry, inputs)
     xs = jnp.concatenate([x0[None], xs])
-    return Trajectory(problem.ts, xs, us, problem.stage_costs(xs, us))
+    moved = eqx.tree_at(lambda p: p.plant, problem, plant)
+    return Trajectory(problem.ts, xs, us, ys, moved.stage_costs(xs, us))
+
+
+def _check_step(problem: Problem, controller: AbstractController, belief, key) -> None:
+    """Trace a controller once: its own exceptions pass with a note, other shapes are named."""
+    name, T = type(controller).__name__, problem.num_steps
+    try:
+        memory = jax.eval_shape(lambda: controller.init(problem, belief, key))
+    except Exception as error:
+        error.add_note(f"raised while {name}.init(problem, belief, key) was traced")
+        raise
+    try:
+        out = jax.eval_shape(
+            lambda memory, i: controller.step(memory, belief, i, problem.ts[i], key),
+            memory,
+            jnp.arange(T)[0],
+        )
+    except Exception as error:
+        error.add_note(
+            f"raised while {name}.step(memory, y, i, t, key) was traced, with y {belief.shape}; "
+            "use jnp.where or jax.lax.cond where it depends on values"
+        )
+        raise
+    if not isinstance(out, tuple) or len(out) != 2:
+        raise TypeError(f"{name}.step: a pair (memory, control) is wanted, got {out}")
+    after, u = out
+    wanted = (problem.plant.nu,)
+    if getattr(u, "shape", None) != wanted:
+        got = getattr(u, "shape", u)
+        raise ValueError(f"{name}.step: returned a control {got}, wanted shape {wanted}")
+    if u.dtype != belief.dtype:
+        raise TypeError(
+            f"{name}.step: returned a control {u.dtype} from a state {belief.dtype}; write "
+            "constants as Python numbers, and keep arrays as the controller's fields"
+        )
+    if _kinds(after) != _kinds(memory):
+        raise TypeError(
+            f"{name}.step: returned a memory {_shown(after)}, init one {_shown(memory)}; it has to "
+            "keep its structure, shapes and dtypes"
+        )
+
+
+def _kinds(tree) -> tuple:
+    leaves, structure = jax.tree.flatten(tree)
+    return structure, [(leaf.shape, leaf.dtype) for leaf in leaves]
+
+
+def _shown(tree) -> str:
+    return str(jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree)).replace("'", "")
+
+
+def _diffusion(noise: AbstractNoise, plant: AbstractPlant, x, u, t) -> Float[Array, "nx nw"]:
+    F = noise(plant, x, u, t)
+    if getattr(F, "ndim", None) != 2 or F.shape[0] != plant.nx:
+        got = getattr(F, "shape", F)
+        raise ValueError(f"{type(noise).__name__}: returned {got}, wanted ({plant.nx}, nw)")
+    return F

@@ -1,5 +1,7 @@
 """What a solve returns."""
 
+from typing import TYPE_CHECKING
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,10 @@ from jaxtyping import Array, Float, Int
 from ._checks import is_concrete
 from ._controller import AffinePolicy
 from ._solver import Record
-from ._status import Status
+from ._status import Reason, Status
+
+if TYPE_CHECKING:
+    import xarray
 
 
 def last_finite(xs: Float[Array, "T+1 nx"]) -> Float[Array, "T+1 nx"]:
@@ -55,6 +60,19 @@ class Solution(eqx.Module):
         """The cost that the solver minimised, shape () or the batch's."""
         return self.expected_cost
 
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return everything as an `xarray.Dataset`, with named dimensions, for known values.
+
+        Dimensions: `batch` (`batch_0`, ... for several), `time` (T+1,), `step` (T,), `state`,
+        `control`, `iterate`. Coordinates: `ts` [s] of the states, `step_ts` [s] of the starts of
+        the steps. The gains are `K` and `k`, `lower` and `upper` the bounds if any, `reason` names
+        the status, whose message is an attribute. `solution.to_xarray().to_netcdf(path)` writes a
+        file for other programs; `jc.save` one to go on with.
+
+        Raises ValueError under jit, vmap or grad.
+        """
+        return _dataset(self)
+
     def __str__(self) -> str:
         if not is_concrete(self.status.code, self.nominal_cost):
             return eqx.tree_pformat(self)
@@ -71,6 +89,44 @@ class Solution(eqx.Module):
         lines = [head] + [f"  {name:<11}{value}" for name, value in rows]
         lines += [f"  {line}" for line in self.status.message.split("\n")]
         return "\n".join(lines)
+
+
+def _dataset(solution: Solution) -> "xarray.Dataset":
+    import xarray
+
+    if not is_concrete(*jax.tree.leaves(solution)):
+        raise ValueError("to_xarray: known values are wanted, got traced ones; call it outside jit")
+    policy, code = solution.policy, np.asarray(solution.status.code)
+    batch = ("batch",) if code.ndim == 1 else tuple(f"batch_{i}" for i in range(code.ndim))
+    reasons = np.array([Reason(int(c)).name for c in code.reshape(-1)]).reshape(code.shape)
+    variables = {
+        "xs": (("time", "state"), solution.xs),
+        "us": (("step", "control"), solution.us),
+        "k": (("step", "control"), policy.k),
+        "K": (("step", "control", "state"), policy.K),
+        "nominal_cost": ((), solution.nominal_cost),
+        "expected_cost": ((), solution.expected_cost),
+        "reason": ((), reasons),
+        "status_index": ((), solution.status.index),
+        "gradient": ((), solution.gradient),
+        "num_steps": ((), solution.num_steps),
+    }
+    for name, values in solution.history._asdict().items():
+        variables[f"history_{name}"] = (("iterate",), values)
+    if policy.bounds is not None:
+        for name, bound in zip(("lower", "upper"), policy.bounds, strict=True):
+            variables[name] = (("step", "control"), bound)
+    coords = {}
+    if policy.dt is not None:
+        ts = np.asarray(policy.dt)[..., None] * np.arange(solution.xs.shape[-2])
+        seconds = {"units": "s"}
+        coords["ts"] = ((*batch, "time"), ts, {**seconds, "long_name": "time of the state"})
+        coords["step_ts"] = ((*batch, "step"), ts[..., :-1], {**seconds, "long_name": "start"})
+    return xarray.Dataset(
+        {name: ((*batch, *dims), np.asarray(value)) for name, (dims, value) in variables.items()},
+        coords,
+        {"status": solution.status.message, "ok": int(np.all(solution.status.ok))},
+    )
 
 
 def _spread(values) -> str:

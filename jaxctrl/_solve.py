@@ -14,6 +14,7 @@ from ._checks import is_concrete
 from ._controller import AffinePolicy
 from ._cost import parts, step_costs
 from ._problem import Problem, check_us, check_x0
+from ._simulate import simulate
 from ._solution import Solution, SolveError, last_finite
 from ._solver import AbstractDirectSolver, AbstractSolver
 from ._status import Reason, Status
@@ -24,7 +25,7 @@ def solve(
     problem: Problem,
     solver: AbstractSolver | AbstractDirectSolver,
     x0: ArrayLike,
-    us: ArrayLike | None = None,
+    us: ArrayLike | AffinePolicy | None = None,
     *,
     max_steps: int = 500,
     throw: bool = False,
@@ -41,7 +42,9 @@ def solve(
             widest among them.
         solver: how, such as `jc.ILQR()`.
         x0: starting state, shape (nx,).
-        us: starting controls, shape (T, nu); the plant's nominal control by default.
+        us: starting controls, shape (T, nu); the plant's nominal control by default. Or a policy,
+            such as `solution.policy.shifted(1)` of the plan before: its controls in closed loop
+            from x0. Where these are not finite the status says so.
         max_steps: limit of the iterations; static. `BoundaryValue` has limits of its own.
         throw: raise `SolveError` when the solve does not converge, instead of a status.
 
@@ -59,7 +62,8 @@ def solve(
     if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 0:
         raise ValueError(f"max_steps: an integer >= 0 is wanted, got {max_steps!r}")
     problem.check_single()
-    start, controls = check_x0(problem, x0), check_us(problem, us)
+    start = check_x0(problem, x0)
+    controls = roll(problem, us, start) if isinstance(us, AffinePolicy) else check_us(problem, us)
     problem, start, controls = promote((problem, start, controls))
     _check_finite(problem)
     for part in parts(problem.cost):
@@ -68,6 +72,12 @@ def solve(
     _warn(problem, solver, start.dtype)
     solution = run(problem, solver, start, controls, max_steps)
     return _throw(solution) if throw else solution
+
+
+def roll(problem: Problem, policy: AffinePolicy, x0: Array) -> Array:
+    """Return a policy's controls (T, nu) in closed loop from x0 (nx,), as constants."""
+    leaves, rest = eqx.partition((problem, policy, x0), eqx.is_array)
+    return simulate(*eqx.combine(jax.lax.stop_gradient(leaves), rest)).us
 
 
 def _check_finite(problem: Problem) -> None:
@@ -187,7 +197,7 @@ def run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: i
         us=us,
         nominal_cost=cost,
         expected_cost=cost,
-        policy=AffinePolicy(xs, us, jnp.zeros_like(us), K, problem.bounds),
+        policy=AffinePolicy(xs, us, jnp.zeros_like(us), K, problem.bounds, problem.dt),
         status=status,
         gradient=record.gradient,
         history=history,

@@ -48,6 +48,13 @@ def as_bounds(
     return (pair[0], pair[1])
 
 
+def clip(u: Array, bounds: Bounds | None) -> Array:
+    """Return u clipped to (lower, upper), which broadcast against u, or u when there are none."""
+    if bounds is None:
+        return u
+    return jnp.clip(u, bounds[0], bounds[1])
+
+
 class Noise(NamedTuple):
     """What disturbs each step of a local model: sum_i (c_i + cx_i dx + cu_i du) xi_i.
 

@@ -29,9 +29,10 @@ FLOORS = {
     "_cost": 1,
     "_noise": 1,
     "_integrate": 1,
-    "_controller": 1,
     "linear": 1,
+    "_pulses": 1,
     "_problem": 2,
+    "_controller": 3,
     "_simulate": 3,
     "_local_model": 3,
     "plants": 3,
@@ -41,6 +42,8 @@ FLOORS = {
     "_solver": 4,
     "_solution": 4,
     "_adjoint": 4,
+    "_audit": 4,
+    "_files": 4,
     "_solve": 4,
     "_batch": 4,
     "solvers": 5,
@@ -55,9 +58,9 @@ FLOORS = {
 # On one floor, a file may import one that comes earlier here.
 WITHIN = {
     0: ["_version", "_types", "_status", "_linalg", "_checks", "_cpu", "_jacobian"],
-    1: ["_plant", "_cost", "_noise", "_integrate", "_controller"],
-    3: ["_simulate", "_local_model", "plants", "tasks"],
-    4: ["_solver", "_solution", "_adjoint", "_solve", "_batch"],
+    1: ["_plant", "_cost", "_noise", "_integrate", "_pulses"],
+    3: ["_controller", "_simulate", "_local_model", "plants", "tasks"],
+    4: ["_solver", "_solution", "_audit", "_files", "_adjoint", "_solve", "_batch"],
     5: ["solvers", "_check_gradients", "problems"],
     7: ["experiments", "bench"],
 }

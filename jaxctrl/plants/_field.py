@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from .._linalg import solve_positive
 from .._plant import AbstractArm
+from .._pulses import push
 from .._types import Bounds
 from ._parameters import known, parameter
 from ._rate import RateControlled
@@ -161,13 +161,8 @@ class InField(AbstractArm):
         """Return the arm's derivative with M^-1 J'F added to the accelerations, shape (nx,)."""
         n = self.num_joints
         q, dq = x[:n], x[n : 2 * n]
-        hand, pull = jax.vjp(self.hand_of_joints, q)
-        velocity = jax.jvp(self.hand_of_joints, (q,), (dq,))[1]
-        (torque,) = pull(self.field(hand, velocity, t))
-        push, _ = solve_positive(self.mass_matrix(q), torque[:, None])
-        rest = jnp.zeros_like(x[2 * n :])
-        pushed = jnp.concatenate([jnp.zeros_like(dq), push[:, 0], rest])
-        return self.arm(x, u, t) + pushed
+        hand, velocity = jax.jvp(self.hand_of_joints, (q,), (dq,))
+        return self.arm(x, u, t) + push(self.arm, x, self.field(hand, velocity, t))
 
     @property
     def longest_reach(self) -> Float[Array, ""]:

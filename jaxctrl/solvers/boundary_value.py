@@ -256,7 +256,7 @@ def _solution(problem: Problem, xs: Array, us: Array, status: Status, rounds: in
         us=us,
         nominal_cost=cost,
         expected_cost=cost,
-        policy=AffinePolicy(xs, us, none, system.K, bounds),
+        policy=AffinePolicy(xs, us, none, system.K, bounds, problem.dt),
         status=status,
         gradient=gradient,
         history=jax.tree.map(lambda a: a[None], record),

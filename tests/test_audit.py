@@ -1,0 +1,116 @@
+"""A solution checked along its own states: an unstable plant is told from another problem."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxctrl as jc
+
+RATE, DT, T, X0 = 2.0, 0.05, 420, np.array([0.5])
+
+
+def unstable(num_steps=T, rate=RATE, **weights):
+    plant = jc.FunctionPlant(lambda x, u, t, p: p * x + u, nx=1, nu=1, params=rate)
+    cost = jc.QuadraticCost(**({"Q": 1.0, "R": 0.5} | weights))
+    return jc.Problem(plant, cost, num_steps=num_steps, dt=DT)
+
+
+@pytest.fixture(scope="module")
+def long():
+    return jc.solve(unstable(), jc.ILQR(), X0)
+
+
+def by_hand(xs, us):
+    return 0.5 * DT * ((np.asarray(xs)[:-1] ** 2).sum() + 0.5 * (np.asarray(us) ** 2).sum())
+
+
+def test_an_unstable_plant_is_named_as_the_reason(long):
+    """Growth e^40: along its own states all is well, and the controls alone lead elsewhere."""
+    assert long.status.ok
+    audit = jc.audit(unstable(), long)
+    np.testing.assert_allclose(audit.cost, by_hand(long.xs, long.us), rtol=1e-12)
+    np.testing.assert_allclose(audit.reported, audit.cost, rtol=1e-10)
+    np.testing.assert_allclose(audit.policy_cost, audit.cost, rtol=1e-10)
+    x, xs, us = X0 * (1 + 2.0**-52), [X0], np.asarray(long.us) * (1 + 2.0**-52)
+    for u in us:
+        x = x + DT * (RATE * x + u)
+        xs.append(x)
+    assert by_hand(xs, us) > 10 * audit.cost and audit.rollout_cost > 10 * audit.cost
+    a = 1 + RATE * DT
+    np.testing.assert_allclose(audit.growth, np.sqrt((a ** (2 * np.arange(T))).sum()), rtol=1e-9)
+    assert 39 < np.log(audit.growth) < 42
+    assert audit.sound and not audit.reproducible
+    text = str(audit)
+    assert text.startswith("Audit of a solution: sound")
+    assert "rounding errors grow 5e+17 times; its policy does: run that" in text
+    assert text.count("\n") == 7
+
+
+def test_a_short_horizon_is_reproduced_and_gives_no_reason():
+    short = unstable(num_steps=20)
+    audit = jc.audit(short, jc.solve(short, jc.ILQR(), X0))
+    assert audit.sound and audit.reproducible
+    np.testing.assert_allclose(audit.rollout_cost, audit.cost, rtol=1e-12)
+    assert audit.defects.shape == (20,) and audit.defects.max() < 1e-15
+    assert str(audit).count("\n") == 6
+
+
+def test_another_cost_and_another_plant_are_told_apart(long):
+    dearer = jc.audit(unstable(Q=2.0), long)
+    assert not dearer.sound and not dearer.reproducible
+    text = str(dearer)
+    assert "NOT sound" in text and "does not cost what was reported" in text
+    assert "does not lead to its next state" not in text
+
+    moved = jc.audit(unstable(rate=2.5), long)
+    assert not moved.sound
+    want = np.abs(DT * 0.5 * np.asarray(long.xs)[:-1, 0]) / np.abs(long.xs).max()
+    np.testing.assert_allclose(moved.defects, want, rtol=1e-9, atol=1e-15)
+    assert "step 0 does not lead to its next state: another plant" in str(moved)
+    spoilt = eqx.tree_at(lambda s: s.xs, long, long.xs.at[7].add(1e-6))
+    assert "step 7 does not lead" in str(jc.audit(unstable(), spoilt))
+
+
+def test_growth_of_several_states_does_not_depend_on_their_units():
+    def made(unit):
+        def dynamics(x, u, t):
+            q, w = x[0], x[1] / unit
+            return jnp.stack([w, unit * (3 * jnp.sin(q) + u[0])])
+
+        plant = jc.FunctionPlant(dynamics, nx=2, nu=1)
+        task = jc.Problem(plant, jc.QuadraticCost(R=1.0), num_steps=60, dt=0.05)
+        xs = task.rollout(jnp.array([0.1, 0.2 * unit]), jnp.zeros((60, 1)))
+        solution = jc.solve(task, jc.ILQR(), xs[0])
+        return jc.audit(task, solution), xs
+
+    audit, xs = made(1.0)
+    np.testing.assert_allclose(made(1e4)[0].growth, audit.growth, rtol=1e-9)
+    S, scale = np.zeros((2, 2)), np.abs(np.asarray(xs)).max(0)
+    found = []
+    for x in np.asarray(xs)[:-1]:
+        A = np.eye(2) + 0.05 * np.array([[0, 1], [3 * np.cos(x[0]), 0]])
+        A = A * scale / scale[:, None]
+        S = A @ S @ A.T + np.eye(2)
+        found.append(S.diagonal().max())
+    np.testing.assert_allclose(audit.growth, np.sqrt(max(found)), rtol=1e-9)
+
+
+def test_audits_go_through_vmap_and_float32(float32):
+    short = unstable(num_steps=20)
+    starts = np.array([[0.5], [1.0]], np.float32)
+    solutions = jc.solve_batch(short, jc.ILQR(), starts)
+    audits = jax.vmap(lambda s: jc.audit(short, s))(solutions)
+    assert audits.sound.shape == (2,) and audits.sound.all() and audits.reproducible.all()
+    failed = jc.audit(unstable(520), jc.solve(unstable(520), jc.ILQR(), X0))
+    assert not failed.sound and "its cost is not finite: a solve that failed" in str(failed)
+
+
+def test_an_overflow_is_infinite_and_misfits_are_named(long):
+    far = unstable(num_steps=T, rate=60.0)
+    assert jc.audit(far, long).growth == jnp.inf
+    with pytest.raises(ValueError, match=r"AffinePolicy: its us has shape \(420, 1\)"):
+        jc.audit(unstable(num_steps=20), long)
+    with pytest.raises(TypeError, match=r"problem, solution: .* got a Problem and a AffinePolicy"):
+        jc.audit(unstable(), long.policy)

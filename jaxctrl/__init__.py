@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         SumCost as SumCost,
     )
     from ._cpu import enable_fast_cpu as enable_fast_cpu
+    from ._function_plant import FunctionPlant as FunctionPlant
     from ._integrate import (
         RK4 as RK4,
         AbstractIntegrator as AbstractIntegrator,
@@ -55,7 +56,6 @@ if TYPE_CHECKING:
         AbstractArm as AbstractArm,
         AbstractHand as AbstractHand,
         AbstractPlant as AbstractPlant,
-        FunctionPlant as FunctionPlant,
     )
     from ._problem import Problem as Problem
     from ._simulate import Trajectory as Trajectory, simulate as simulate
@@ -89,10 +89,11 @@ _WHERE = {
         "SumCost",
     ),
     "_cpu": ("enable_fast_cpu",),
+    "_function_plant": ("FunctionPlant",),
     "_integrate": ("AbstractIntegrator", "Euler", "NextState", "RK4"),
     "_local_model": ("expand",),
     "_noise": ("AbstractNoise", "AdditiveNoise", "SignalDependentNoise"),
-    "_plant": ("AbstractArm", "AbstractHand", "AbstractPlant", "FunctionPlant"),
+    "_plant": ("AbstractArm", "AbstractHand", "AbstractPlant"),
     "_problem": ("Problem",),
     "_simulate": ("Trajectory", "simulate"),
     "_status": ("Reason", "Status"),

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from ._controller import AbstractController, AffinePolicy, OpenLoop
+from ._function import jit
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant
 from ._problem import Problem, check_x0
@@ -99,7 +100,7 @@ def _check_key(key) -> None:
         raise ValueError(f"key: got {shape} keys, wanted one; many trials go through jax.vmap")
 
 
-@eqx.filter_jit
+@jit
 def _run(problem: Problem, controller, x0, key, noise) -> Trajectory:
     num_steps, scale = problem.num_steps, jnp.sqrt(problem.rate)
     if key is None:

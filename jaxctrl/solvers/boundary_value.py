@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .. import _status
-from .._checks import is_concrete
+from .._checks import check_integer, is_concrete
 from .._controller import AffinePolicy, clip
 from .._cost import step_costs
 from .._linalg import matmul
@@ -85,10 +85,7 @@ class BoundaryValue(AbstractDirectSolver):
     def __check_init__(self):
         if not (isinstance(self.tol, int | float) and self.tol > 0):
             raise ValueError(f"tol: a number above 0 is wanted, got {self.tol!r}")
-        if isinstance(self.max_nodes, bool) or not isinstance(self.max_nodes, int):
-            raise ValueError(f"max_nodes: an integer is wanted, got {self.max_nodes!r}")
-        if self.max_nodes < 4:
-            raise ValueError(f"max_nodes: at least 4 is wanted, got {self.max_nodes}")
+        check_integer("max_nodes", self.max_nodes, 4)
 
     def run(self, problem: Problem, x0: Array, us: Array) -> Solution:
         """Return the solution from x0 (nx,), first guessed from the controls us (T, nu)."""

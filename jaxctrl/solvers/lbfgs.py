@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import optax
 
+from .._checks import check_integer
 from ._descent import AbstractDescent, DescentState, Point, as_before
 
 
@@ -35,8 +36,7 @@ class LBFGS(AbstractDescent):
     step_tolerance: float | None = eqx.field(static=True, default=None)
 
     def __check_init__(self):
-        if isinstance(self.memory, bool) or not isinstance(self.memory, int) or self.memory < 1:
-            raise ValueError(f"memory: an integer >= 1 is wanted, got {self.memory!r}")
+        check_integer("memory", self.memory, 1)
 
     def _begin(self, us):
         return optax.scale_by_lbfgs(self.memory).init(us)

@@ -10,7 +10,7 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import ArrayLike
 
-from ._checks import check_array, check_instance, check_integer, is_concrete
+from ._checks import check_array, check_instance, check_integer, is_concrete, shape_of
 from ._function import jit
 from ._problem import Problem
 from ._solution import Solution
@@ -63,7 +63,7 @@ def solve_batch(
         if value is None:
             continue
         single = (one.plant.nx,) if rank == 1 else (one.num_steps, one.plant.nu)
-        shape = np.shape(value)
+        shape = shape_of(value)
         if len(shape) == rank + 1:
             sizes[name] = shape[0]
             lanes[i] = check_array(name, value, (shape[0], *single))

@@ -54,6 +54,14 @@ def check_instance(name: str, value: Any, kind: Any, wanted: str) -> None:
     raise TypeError(f"{name}: {wanted}, got {value!r}")
 
 
+def shape_of(value: Any) -> tuple[int, ...]:
+    """Return the shape of what may be an array; () for what is none."""
+    try:
+        return np.shape(value)
+    except ValueError:  # a ragged list
+        return ()
+
+
 def check_array(name: str, value: ArrayLike, shape: tuple[int, ...], hint: str = "") -> Array:
     """Return `value` as a floating array of `shape`, finite where that can be known.
 
@@ -109,15 +117,14 @@ def wanted(shape: tuple[int, ...]) -> str:
     return "()" if shape == () else f"() or {shape}"
 
 
-def check_weights(**weights: ArrayLike | None) -> None:
+def check_weights(**weights: ArrayLike) -> None:
     """Raise ValueError or TypeError, naming the argument, for a weight known to be negative."""
     for name, value in weights.items():
-        if value is None:
-            continue
         array = array_leaf(value, name)
         if not array.size:
             raise ValueError(f"{name}: got no number, shape {array.shape}")
-        if is_concrete(array) and not (np.asarray(array) >= 0).all():
+        numbers = known(value)
+        if numbers is not None and not (numbers >= 0).all():
             raise ValueError(f"{name}: at least 0 is wanted, got {value}")
 
 

@@ -1,14 +1,12 @@
 """A control problem: a plant, a cost, noise and bounds on a grid of time."""
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ._checks import check_array, check_instance, check_integer, is_concrete
+from ._checks import check_array, check_instance, check_integer, is_concrete, shape_of
 from ._controller import clip
 from ._cost import AbstractCost, Events, step_costs
 from ._function import closed
@@ -222,14 +220,14 @@ class Problem(eqx.Module):
 
 def _bounds_shape(bounds, nu: int, num_steps: int) -> tuple[int, ...]:
     pair = isinstance(bounds, tuple | list)  # what is none is refused by `as_bounds`
-    per_step = pair and any(np.ndim(bound) == 2 for bound in bounds)
+    per_step = pair and any(len(shape_of(bound)) == 2 for bound in bounds)
     return (num_steps, nu) if per_step else (nu,)
 
 
 def check_x0(problem: Problem, x0: ArrayLike) -> Float[Array, " nx"]:
     """Return x0 as an array (nx,); raises ValueError or TypeError naming x0."""
     nx = problem.plant.nx
-    shape = np.shape(x0) if not isinstance(x0, Callable) else ()
+    shape = shape_of(x0)
     hint = ""
     if shape == (nx, 1):
         hint = "drop the second axis"
@@ -245,7 +243,7 @@ def check_us(problem: Problem, us: ArrayLike | None) -> Float[Array, "T nu"]:
     if us is None:
         return problem.nominal_controls
     wanted = (problem.num_steps, problem.plant.nu)
-    shape = np.shape(us) if not isinstance(us, Callable) else ()
+    shape = shape_of(us)
     hint = ""
     if shape == wanted[::-1]:
         hint = "time is the leading axis: transpose it"

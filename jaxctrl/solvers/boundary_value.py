@@ -80,12 +80,13 @@ class BoundaryValue(AbstractDirectSolver):
     """
 
     tol: float = eqx.field(static=True, default=1e-4)
-    max_nodes: int = eqx.field(static=True, default=2000)
+    max_nodes: int = eqx.field(
+        static=True, default=2000, converter=lambda value: check_integer("max_nodes", value, 4)
+    )
 
     def __check_init__(self):
         if not (isinstance(self.tol, int | float) and self.tol > 0):
             raise ValueError(f"tol: a number above 0 is wanted, got {self.tol!r}")
-        check_integer("max_nodes", self.max_nodes, 4)
 
     def run(self, problem: Problem, x0: Array, us: Array) -> Solution:
         """Return the solution from x0 (nx,), first guessed from the controls us (T, nu)."""

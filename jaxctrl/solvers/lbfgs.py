@@ -30,13 +30,12 @@ class LBFGS(AbstractDescent):
     """
 
     _curvature: ClassVar[float] = 0.9
-    memory: int = eqx.field(static=True, default=10)
+    memory: int = eqx.field(
+        static=True, default=10, converter=lambda value: check_integer("memory", value, 1)
+    )
     gradient_tolerance: float | None = eqx.field(static=True, default=None)
     cost_tolerance: float | None = eqx.field(static=True, default=None)
     step_tolerance: float | None = eqx.field(static=True, default=None)
-
-    def __check_init__(self):
-        check_integer("memory", self.memory, 1)
 
     def _begin(self, us):
         return optax.scale_by_lbfgs(self.memory).init(us)

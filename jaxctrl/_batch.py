@@ -11,7 +11,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import ArrayLike
 
 from ._checks import check_array, check_instance, check_integer, is_concrete, shape_of
-from ._function import jit
+from ._jit import jit
 from ._problem import Problem
 from ._solution import Solution
 from ._solve import check_max_steps, solve

@@ -5,17 +5,15 @@ function theorem, and a changed one goes unnoticed by the cache of `jax.jit`. A 
 (`_closure.read`) each time that it is flattened: at every jit boundary, that is, at every solve.
 """
 
-import functools
 import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 
-from ._closure import Reading, build, read, read_classes
+from ._closure import Reading, build, read
 from ._types import array_leaf
 
 
@@ -98,38 +96,6 @@ class Function:
 
 def _is(a: Any, b: Any) -> bool:
     return a is b
-
-
-class _Seen:
-    """What the methods of the user's classes depend on, for a jit to compare."""
-
-    def __init__(self, key: tuple):
-        self.key = key
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Seen) and self.key == other.key
-
-
-def jit(function: Callable) -> Callable:
-    """Return `eqx.filter_jit(function)`, which also traces again when a user's class sees another
-    world: a global that one of its methods names, or an attribute of the class, has changed.
-    """
-
-    def traced(seen, *args):
-        return function(*args)
-
-    traced.__name__ = function.__name__
-    compiled = eqx.filter_jit(traced)
-
-    @functools.wraps(function)
-    def call(*args):
-        return compiled(_Seen(read_classes(args)), *args)
-
-    call._cached = compiled._cached  # pyright: ignore[reportFunctionMemberAccess]
-    return call
 
 
 def closed(tree: Any) -> Any:

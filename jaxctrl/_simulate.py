@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from ._controller import AbstractController, AffinePolicy, OpenLoop
-from ._function import jit
+from ._jit import jit
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant
 from ._problem import Problem, check_x0

@@ -15,7 +15,8 @@ from ._adjoint import attach, attach_gains, known_sides
 from ._checks import check_again, check_instance, check_integer, is_concrete
 from ._controller import AffinePolicy
 from ._cost import parts, step_costs
-from ._function import closed, describe, jit
+from ._function import closed, describe
+from ._jit import jit
 from ._problem import Problem, check_us, check_x0
 from ._solution import Solution, SolveError, last_finite
 from ._solver import AbstractDirectSolver, AbstractSolver, Record

@@ -23,6 +23,7 @@ FLOORS = {
     "_status": 0,
     "_linalg": 0,
     "_checks": 0,
+    "_samples": 0,
     "_bytecode": 0,
     "_closure": 0,
     "_function": 0,

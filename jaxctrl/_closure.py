@@ -15,7 +15,6 @@ import enum
 import functools
 import sys
 import types
-from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -24,6 +23,17 @@ import jax.tree_util as jtu
 import numpy as np
 
 from ._bytecode import is_own, reads
+from ._recipe import (
+    Recipe,
+    keep,
+    make_by,
+    make_function,
+    make_leaf,
+    make_module,
+    make_object,
+    make_tree,
+    whole,
+)
 
 _PLAIN = (bool, int, str, bytes, type(None), type(...), range, np.dtype)
 _BY_TEXT = (float, complex)  # nan differs from itself, and 0.0 is -0.0
@@ -36,7 +46,7 @@ class Reading(NamedTuple):
     key: tuple
     leaves: list[jax.Array]
     names: list[str]
-    recipe: "Recipe"
+    recipe: Recipe
 
 
 class _Same:
@@ -68,101 +78,6 @@ class _Structure:
             return False
 
 
-class Recipe(NamedTuple):
-    """How to build a value: `make(build, *data)`, or `data` itself where make is None.
-
-    No recipe holds a leaf: it may outlive the trace to which its leaves belong.
-    """
-
-    make: Any
-    data: Any
-    number: int = -1
-
-
-class _Build:
-    """Building a value from its recipe: each part once, and what refers to itself at the end."""
-
-    def __init__(self, leaves: Sequence):
-        self.leaves = leaves
-        self.made: dict[int, Any] = {}
-        self.later: list[Callable[[], None]] = []
-
-    def __call__(self, recipe: Recipe) -> Any:
-        if recipe.make is None:
-            return recipe.data
-        if recipe.number not in self.made:
-            self.made[recipe.number] = recipe.make(self, *recipe.data)
-        return self.made[recipe.number]
-
-    def all(self, recipes: dict[str, Recipe]) -> dict[str, Any]:
-        return {name: self(recipe) for name, recipe in recipes.items()}
-
-
-def build(recipe: Recipe, leaves: Sequence) -> Any:
-    """Return the value that a recipe describes, with these leaves in it."""
-    making = _Build(leaves)
-    value = making(recipe)
-    while making.later:
-        making.later.pop()()
-    return value
-
-
-def _keep(value: Any) -> Recipe:
-    return Recipe(None, value)
-
-
-def _leaf(build: _Build, i: int):
-    return build.leaves[i]
-
-
-def _call(build: _Build, make, parts):
-    return make(*map(build, parts))
-
-
-def _unflatten(build: _Build, treedef, parts):
-    return jtu.tree_unflatten(treedef, [build(part) for part in parts])
-
-
-def _object(build: _Build, kind, attributes):
-    new = kind() if kind is types.SimpleNamespace else object.__new__(kind)
-
-    def fill():
-        for name, value in build.all(attributes).items():
-            object.__setattr__(new, name, value)
-
-    build.later.append(fill)
-    return new
-
-
-def _module(build: _Build, module, attributes):
-    new = types.ModuleType(module.__name__)
-    new.__dict__.update(vars(module))
-    build.later.append(lambda: new.__dict__.update(build.all(attributes)))
-    return new
-
-
-def _function(build: _Build, about, cells, defaults, keywords, globals_, attributes):
-    code, module, name, qualname = about
-    changed = {name: part for name, part in globals_.items() if part.make is not None}
-    module = dict(module) if changed else module
-    closure = tuple(types.CellType() if isinstance(c, Recipe) else c for c in cells)
-    new = types.FunctionType(code, module, name, None, closure)
-    new.__qualname__ = qualname
-
-    def fill():
-        for cell, part in zip(closure, cells, strict=True):
-            if isinstance(part, Recipe):
-                cell.cell_contents = build(part)
-        if changed:
-            module.update(build.all(changed))
-        new.__defaults__ = tuple(map(build, defaults)) or None
-        new.__kwdefaults__ = build.all(keywords) or None
-        new.__dict__.update(build.all(attributes))
-
-    build.later.append(fill)
-    return new
-
-
 def read(function: Any) -> Reading:
     """Return what a function, a bound method or a callable object depends on."""
     walk = _Walk()
@@ -174,18 +89,21 @@ def read(function: Any) -> Reading:
 
 def read_classes(tree: Any) -> tuple:
     """Return the key of what methods depend on of those classes in a pytree that are the user's."""
+    walk = _Walk()
+    walk.classes(_flatten(tree)[2])
+    return tuple(walk.key)
+
+
+def _flatten(tree: Any) -> tuple[list, Any, list[type]]:
+    """Return the leaves of a pytree, its structure, and those classes in it that are the user's."""
     kinds: dict[type, None] = {}
 
     def visit(node) -> bool:
         kinds[type(node)] = None
         return False
 
-    jtu.tree_flatten(tree, is_leaf=visit)
-    walk = _Walk()
-    for kind in kinds:
-        if _is_own_class(kind):
-            walk.value(kind, "")
-    return tuple(walk.key)
+    leaves, treedef = jtu.tree_flatten(tree, is_leaf=visit)
+    return leaves, treedef, [kind for kind in kinds if _is_own_class(kind)]
 
 
 class _Walk:
@@ -207,30 +125,35 @@ class _Walk:
         kind = type(value)
         if isinstance(value, _PLAIN) and not isinstance(value, enum.Enum):
             self.key.append((kind, value))
-            return _keep(value)
+            return keep(value)
         if kind in _BY_TEXT:
             self.key.append((kind, repr(value)))
-            return _keep(value)
+            return keep(value)
         if isinstance(value, jax.Array) and not self.open:
             traced = isinstance(value, jax.core.Tracer)  # which a key must not keep alive
-            return self._same(value) if not traced else _keep(value)
+            return self._same(value) if not traced else keep(value)
         if id(value) in self.met:
             recipe = self.met[id(value)]
             self.key.append(("again", recipe.number))
             return recipe
         number = len(self.met)
         # What refers back to this meets it unfinished, but finds it made when it is built.
-        self.met[id(value)] = Recipe(_leaf, (), number)
+        self.met[id(value)] = Recipe(make_leaf, (), number)
         self.alive.append(value)
         recipe = self.met[id(value)] = self._compound(value, name)._replace(number=number)
         return recipe
+
+    def classes(self, kinds: list[type]) -> None:
+        """Look at classes, for the key alone."""
+        for kind in kinds:
+            self.value(kind, "")
 
     def _compound(self, value: Any, name: str) -> Recipe:
         if isinstance(value, jax.Array):
             self.key.append("array")
             self.leaves.append(value)
             self.names.append(name)
-            return Recipe(_leaf, (len(self.leaves) - 1,))
+            return Recipe(make_leaf, (len(self.leaves) - 1,))
         if isinstance(value, np.ndarray | np.generic):
             return self._numbers(value)
         if isinstance(value, types.FunctionType):
@@ -249,7 +172,7 @@ class _Walk:
             return self._class(value)
         if isinstance(value, set | frozenset):
             self.key.append((type(value), frozenset(value)))
-            return _keep(value)
+            return keep(value)
         if not jtu.all_leaves([value]):
             return self._tree(value, name)
         if _is_object(type(value)):
@@ -258,18 +181,18 @@ class _Walk:
 
     def _same(self, value: Any) -> Recipe:
         self.key.append(_Same(value))
-        return _keep(value)
+        return keep(value)
 
     def _numbers(self, value: np.ndarray | np.generic) -> Recipe:
         if value.dtype.hasobject:
             return self._same(value)
         self.key.append((type(value), value.dtype, value.shape, value.tobytes()))
-        return _keep(value)
+        return keep(value)
 
     def _made_of(self, value: Any, make: Any, parts: tuple, names: tuple[str, ...]) -> Recipe:
         self.key.append(make)
         found = tuple(self.value(part, name) for part, name in zip(parts, names, strict=True))
-        return _whole(value, found, Recipe(_call, (make, found)))
+        return whole(value, found, Recipe(make_by, (make, found)))
 
     def _jitted(self, value: Any, name: str) -> Recipe:
         """Look through `jax.jit`: its own cache would keep what the function saw at first."""
@@ -277,36 +200,35 @@ class _Walk:
         self.key.append("jit")
         found = self.value(value.__wrapped__, name)
         if self.own == own and found.make is None:
-            return _keep(value)
-        return Recipe(_call, (_itself, (found,)))
+            return keep(value)
+        return Recipe(make_by, (_itself, (found,)))
 
     def _tree(self, value: Any, name: str) -> Recipe:
         try:
-            leaves, treedef = jtu.tree_flatten(value)
+            leaves, treedef, kinds = _flatten(value)
         except Exception:  # a dictionary whose keys have no order
             return self._same(value)
         self.alive.append(leaves)
         self.key.append(_Structure(treedef))
-        if type(value) not in (tuple, list, dict):
-            self.value(type(value), name)
+        self.classes(kinds)
         named = [name] if len(leaves) == 1 else [f"{name}[{i}]" for i in range(len(leaves))]
         found = [self.value(leaf, n) for leaf, n in zip(leaves, named, strict=True)]
-        return _whole(value, found, Recipe(_unflatten, (treedef, found)))
+        return whole(value, found, Recipe(make_tree, (treedef, found)))
 
     def _module(self, value: types.ModuleType, name: str) -> Recipe:
         """Look at what the code names of a module of the user's."""
         self.key.append(_Same(value))
         if not is_own(getattr(value, "__file__", None) or value.__name__):
-            return _keep(value)
+            return keep(value)
         names = [n for n in sorted(self.attributes) if n in vars(value)]
         found = {n: self.value(vars(value)[n], _join(name, n)) for n in names}
-        return _whole(value, found.values(), Recipe(_module, (value, found)))
+        return whole(value, found.values(), Recipe(make_module, (value, found)))
 
     def _class(self, value: type) -> Recipe:
         """Look at the functions of a class, for the key alone."""
         self.key.append(_Same(value))
         if not _is_own_class(value):
-            return _keep(value)
+            return keep(value)
         was_open, self.open, met = self.open, False, self.met
         self.met = dict(self.met) if was_open else self.met
         for base in value.__mro__:
@@ -317,7 +239,7 @@ class _Walk:
                 if isinstance(member, types.FunctionType) or (number and name[:2] != "__"):
                     self.value(member, name)
         self.open, self.met = was_open, met if was_open else self.met
-        return _keep(value)
+        return keep(value)
 
     def _object(self, value: Any, name: str) -> Recipe:
         """Look at the attributes of a plain object."""
@@ -326,14 +248,14 @@ class _Walk:
         attributes = dict(_attributes(value))
         self.key.append(tuple(attributes))
         found = {n: self._named(v, n, _join(name, n)) for n, v in attributes.items()}
-        return _whole(value, found.values(), Recipe(_object, (kind, found)))
+        return whole(value, found.values(), Recipe(make_object, (kind, found)))
 
     def _named(self, value: Any, short: str, name: str) -> Recipe:
         """Look at a value, unless the function itself writes to it."""
         if short not in self.written or isinstance(value, jax.Array):
             return self.value(value, name)
         if isinstance(value, bool | int | float | str | type(None)):
-            return _keep(value)
+            return keep(value)
         return self._same(value)
 
     def _function(self, value: types.FunctionType) -> Recipe:
@@ -363,8 +285,8 @@ class _Walk:
         self.written, self.attributes = before[0] | self.written, before[1]
         found += [*defaults, *keywords.values(), *globals_.values(), *extra.values()]
         about = (code, value.__globals__, value.__name__, value.__qualname__)
-        recipe = Recipe(_function, (about, cells, defaults, keywords, globals_, extra))
-        return _whole(value, found, recipe)
+        recipe = Recipe(make_function, (about, cells, defaults, keywords, globals_, extra))
+        return whole(value, found, recipe)
 
     def _cell(self, name: str, cell: types.CellType) -> Recipe | types.CellType:
         """Look at a variable of a closure; return the cell itself where it stays as it is."""
@@ -377,17 +299,12 @@ class _Walk:
         return cell if recipe.make is None else recipe
 
 
-def _itself(value):
+def _itself(value: Any) -> Any:
     return value
 
 
-def _partial(function, args, keywords):
+def _partial(function: Any, args: tuple, keywords: dict) -> functools.partial:
     return functools.partial(function, *args, **keywords)
-
-
-def _whole(value: Any, parts: Any, recipe: Recipe) -> Recipe:
-    """Return the recipe, or, where all parts stay as they are, the value itself."""
-    return _keep(value) if all(part.make is None for part in parts) else recipe
 
 
 def _join(name: str, attribute: str) -> str:

@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ._function import as_params, check_function
 from ._plant import AbstractPlant
-from ._types import array_leaf
+from ._types import array_leaf, leaf
 
 
 class Events(NamedTuple):
@@ -209,10 +209,10 @@ class QuadraticCost(AbstractCost):
         target: x*, scalar or shape (nx,).
     """
 
-    Q: Array = eqx.field(converter=array_leaf, default=0.0)
-    R: Array = eqx.field(converter=array_leaf, default=0.0)
-    Qf: Array = eqx.field(converter=array_leaf, default=0.0)
-    target: Array = eqx.field(converter=array_leaf, default=0.0)
+    Q: Array = eqx.field(converter=leaf("Q"), default=0.0)
+    R: Array = eqx.field(converter=leaf("R"), default=0.0)
+    Qf: Array = eqx.field(converter=leaf("Qf"), default=0.0)
+    target: Array = eqx.field(converter=leaf("target"), default=0.0)
     running_is_quadratic: bool = eqx.field(static=True, default=True, init=False)
     terminal_is_quadratic: bool = eqx.field(static=True, default=True, init=False)
 

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 
-from ._closure import Reading, build, read
+from ._closure import Reading, read
+from ._recipe import build
 from ._types import array_leaf
 
 

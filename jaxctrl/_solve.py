@@ -126,26 +126,8 @@ def _warn(problem: Problem, solver: AbstractSolver | AbstractDirectSolver, dtype
 
 def _check_functions(problem: Problem, x0: Array, us: Array) -> None:
     """Trace the plant and the cost once; their own exceptions pass, with a line of help."""
-    scalar = ((), "()")
-    calls = (
-        ("plant", lambda p, x, u: p.plant(x, u, p.ts[0]), (x0.shape, f"({x0.size},)")),
-        ("cost.running", lambda p, x, u: p.cost.running(p.plant, x, u, p.ts[0]), scalar),
-        ("cost.terminal", lambda p, x, u: p.cost.terminal(p.plant, x), scalar),
-        *(
-            ("cost's event", lambda p, x, u, i=i: p.cost.events[i].value(p.plant, x, 0), scalar)
-            for i in range(len(problem.cost.events))
-        ),
-        *(
-            (
-                f"{type(part).__name__}.residual",
-                lambda p, x, u, i=i: step_costs(p.cost)[i].residual(p.plant, x, u, x, p.dt),
-                (None, "(m,)"),
-            )
-            for i, part in enumerate(step_costs(problem.cost))
-        ),
-    )
-    for name, call, (shape, wanted) in calls:
-        out = _traced(name, call, problem, x0, us[0])
+    for k, (name, _, (shape, wanted)) in enumerate(_calls(problem, x0, us[0])):
+        out = _traced(problem, k, x0, us[0])
         got = getattr(out, "shape", None)
         if got is None:
             raise TypeError(
@@ -161,16 +143,40 @@ def _check_functions(problem: Problem, x0: Array, us: Array) -> None:
             )
 
 
-def _traced(name: str, call: Callable, problem: Problem, x: Array, u: Array) -> Any:
-    """Return the shape of what a function of the user's returns.
+def _calls(problem: Problem, x: Array, u: Array) -> tuple[tuple[str, Callable, Any], ...]:
+    """Return what a solve calls: names, functions without arguments, the shapes they return."""
+    plant, cost, t = problem.plant, problem.cost, problem.ts[0]
+    scalar = ((), "()")
+    return (
+        ("plant", lambda: plant(x, u, t), (x.shape, f"({plant.nx},)")),
+        ("cost.running", lambda: cost.running(plant, x, u, t), scalar),
+        ("cost.terminal", lambda: cost.terminal(plant, x), scalar),
+        *(
+            ("cost's event", lambda group=group: group.value(plant, x, 0), scalar)
+            for group in cost.events
+        ),
+        *(
+            (
+                f"{type(part).__name__}.residual",
+                lambda part=part: part.residual(plant, x, u, x, problem.dt),
+                (None, "(m,)"),
+            )
+            for part in step_costs(cost)
+        ),
+    )
+
+
+def _traced(problem: Problem, k: int, x: Array, u: Array) -> Any:
+    """Return the shape of what the k-th of `_calls` returns.
 
     Raises TypeError when it uses a traced value that is no leaf of the problem: nothing would ask
     for the derivative with respect to it, which would come out as zero.
     """
     arrays, static = eqx.partition(problem, eqx.is_array)
+    name = _calls(problem, x, u)[k][0]
 
     def function(arrays, x, u):
-        return call(eqx.combine(arrays, static), x, u)
+        return _calls(eqx.combine(arrays, static), x, u)[k][1]()
 
     try:
         jaxpr, out = jax.make_jaxpr(function, return_shape=True)(arrays, x, u)

@@ -38,6 +38,8 @@ PLACES = {
     "control_bounds": lambda v: problem(control_bounds=(v, 1.0)),
     "nominal_control": lambda v: plant(nominal_control=v),
     "event_times": lambda v: jc.FunctionCost(event=lambda x, i: x @ x, event_times=v),
+    "Q": lambda v: jc.QuadraticCost(Q=v),
+    "intensity": lambda v: jc.AdditiveNoise(v),
     "x0": lambda v: jc.solve(problem(), jc.ILQR(), v),
     "effort": lambda v: jc.tasks.reach(jc.plants.TorqueArm(), [0.3, 0.3], effort=v),
     "target": lambda v: jc.tasks.reach(jc.plants.TorqueArm(), v),
@@ -55,7 +57,9 @@ def test_what_is_no_number_is_refused_by_name(name, kind):
     assert says in str(caught.value) or value is None
 
 
-@pytest.mark.parametrize("name", [name for name in PLACES if name != "event_times"])
+@pytest.mark.parametrize(
+    "name", [name for name in PLACES if name not in ("event_times", "Q", "intensity")]
+)
 def test_an_empty_list_is_no_number(name):
     with pytest.raises((TypeError, ValueError), match=f"^{name}: "):
         PLACES[name]([])

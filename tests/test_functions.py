@@ -380,3 +380,26 @@ def test_without_x64_functions_close_over_float32(float32):
     theta = jnp.array([1.0, 0.2, 1.5])
     solution = solve(lambda x, u, t: pendulum(x, u, theta), x0=jnp.array([1.0, 0.0]))
     assert solution.us.dtype == np.float32 and solution.status.ok
+
+
+class Gained(eqx.Module):
+    """A network of the user's own class, whose method names a global."""
+
+    weight: jax.Array
+
+    def dynamics(self, x, u, t):
+        return self.weight * helper(x) + u
+
+
+@pytest.mark.parametrize("way", ["method", "closure"])
+def test_a_global_that_a_network_names_is_seen(monkeypatch, way):
+    net = Gained(jnp.array(1.0))
+    plant = jc.FunctionPlant(
+        net.dynamics if way == "method" else lambda x, u, t: net.dynamics(x, u, t), nx=2, nu=1
+    )
+    problem = jc.Problem(plant, jc.QuadraticCost(Q=1.0, R=0.1), **STEPS)
+    ends = []
+    for value in (2.0, 0.5):
+        monkeypatch.setitem(globals(), "gain", value)
+        ends.append(jc.simulate(problem, jc.OpenLoop(jnp.zeros((8, 1))), X0).xs[-1, 0])
+    np.testing.assert_allclose(ends, [1.2**8, 1.05**8], rtol=1e-12)

@@ -17,9 +17,10 @@ class FunctionPlant(AbstractPlant):
 
     `dynamics(x, u, t)`, or `dynamics(x, u, t, params)` when `params` is given, returns the state's
     derivative, or the next state when `discrete=True`; x has shape (nx,), u has shape (nu,).
-    JAX arrays in `params`, and those that the function depends on otherwise (see `Function`), may
-    change without recompiling, and gradients flow through them. Whatever else it depends on,
-    Python numbers and NumPy arrays too, is static: when it changes, the next solve compiles again.
+    JAX arrays in `params`, and those that the function closes over or reaches by globals, defaults
+    or the object of a bound method, may change without compiling again, and gradients flow through
+    them; the function gets them traced. Whatever else it depends on, Python numbers and NumPy
+    arrays too, is static: when it changes, the next solve compiles again.
 
     Arguments:
         dynamics: the function above, or a callable pytree such as an `equinox` network.

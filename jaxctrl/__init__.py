@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     )
     from ._cpu import enable_fast_cpu as enable_fast_cpu
     from ._files import load as load, save as save
+    from ._function_plant import FunctionPlant as FunctionPlant
     from ._integrate import (
         RK4 as RK4,
         AbstractIntegrator as AbstractIntegrator,
@@ -57,7 +58,6 @@ if TYPE_CHECKING:
         AbstractArm as AbstractArm,
         AbstractHand as AbstractHand,
         AbstractPlant as AbstractPlant,
-        FunctionPlant as FunctionPlant,
     )
     from ._problem import Problem as Problem
     from ._pulses import Pulses as Pulses
@@ -92,10 +92,11 @@ _WHERE = {
         "SumCost",
     ),
     "_cpu": ("enable_fast_cpu",),
+    "_function_plant": ("FunctionPlant",),
     "_integrate": ("AbstractIntegrator", "Euler", "NextState", "RK4"),
     "_local_model": ("expand",),
     "_noise": ("AbstractNoise", "AdditiveNoise", "SignalDependentNoise"),
-    "_plant": ("AbstractArm", "AbstractHand", "AbstractPlant", "FunctionPlant"),
+    "_plant": ("AbstractArm", "AbstractHand", "AbstractPlant"),
     "_problem": ("Problem",),
     "_pulses": ("Pulses",),
     "_simulate": ("Trajectory", "simulate"),

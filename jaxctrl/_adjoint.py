@@ -33,7 +33,8 @@ from jaxtyping import Array
 from ._local_model import expand, stage_lagrangian
 from ._problem import Problem
 from ._solver import AbstractSolver
-from .linear._riccati import costates, factorise, solve_factorised
+from .linear._factorised import factorise, solve_factorised
+from .linear._riccati import costates
 
 Found = tuple[Array, Array, Array]
 

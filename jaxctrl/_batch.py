@@ -10,11 +10,12 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import ArrayLike
 
-from ._checks import check_array, is_concrete
+from ._checks import check_array, check_instance, check_integer, is_concrete, shape_of
 from ._controller import AffinePolicy
+from ._jit import jit
 from ._problem import Problem
 from ._solution import Solution
-from ._solve import solve
+from ._solve import check_max_steps, solve
 from ._solver import AbstractSolver
 
 DEFAULT_MEMORY = 4e9
@@ -51,8 +52,10 @@ def solve_batch(
     Raises ValueError or TypeError for what is not a problem, for wrong shapes, and when no argument
     has an axis B, or they differ in it. Lanes that fail raise nothing: read `status.ok`.
     """
-    if not isinstance(problem, Problem):
-        raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
+    check_instance("problem", problem, Problem, "a jc.Problem is wanted")
+    check_instance("solver", solver, AbstractSolver, "a solver that iterates is wanted")
+    chunk = None if chunk is None else check_integer("chunk", chunk, 1)
+    max_steps = check_max_steps(max_steps)
     batched = problem.dt.ndim == 1
     one = jax.tree.map(lambda leaf: leaf[0], problem) if batched else problem
     sizes = {"problem": len(problem.dt)} if batched else {}
@@ -67,7 +70,7 @@ def solve_batch(
             sizes |= {name: len(value.us)} if batch else {}
             continue
         single = (one.plant.nx,) if rank == 1 else (one.num_steps, one.plant.nu)
-        shape = np.shape(value)
+        shape = shape_of(value)
         if len(shape) == rank + 1:
             sizes[name] = shape[0]
             lanes[i] = check_array(name, value, (shape[0], *single))
@@ -117,17 +120,17 @@ def _run(job: _Job, size: int, chunk: int | None) -> Solution:
             warnings.warn(f"solve_batch: out of memory; now {chunk} lanes at once", stacklevel=3)
 
 
-@eqx.filter_jit
+@jit
 def _one_by_one(job: _Job) -> Solution:
     return jax.lax.map(job.solve, job.lanes)
 
 
-@eqx.filter_jit
+@jit
 def _side_by_side(job: _Job, chunk: int) -> Solution:
     return jax.lax.map(job.solve, job.lanes, batch_size=chunk)
 
 
-@eqx.filter_jit
+@jit
 def _shared(job: _Job, size: int, devices) -> Solution:
     """Share lanes evenly among devices; the last one is repeated to fill the last share."""
     n = len(devices)

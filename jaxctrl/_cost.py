@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-import jax.tree_util as jtu
 from jaxtyping import Array, ArrayLike, Float
 
-from ._plant import AbstractPlant, _static_callable
-from ._types import array_leaf
+from ._function import as_params, check_function
+from ._plant import AbstractPlant
+from ._types import array_leaf, leaf
 
 
 class Events(NamedTuple):
@@ -132,13 +132,13 @@ class FunctionCost(AbstractCost):
 
     `running(x, u, t)` is a rate per second, `terminal(x)` a value, `event(x, i)` the cost of the
     state at `event_times[i]`; x has shape (nx,), u has shape (nu,). With `params`, each function
-    takes it as its last argument. Functions are static (another function object recompiles);
-    `params` and `event_times` are array leaves through which gradients flow.
+    takes it as its last argument. What a function depends on is treated as in `FunctionPlant`;
+    `event_times` are an array leaf too.
 
     Arguments:
         running, terminal, event: the functions above, or None.
         event_times: times of the events [s], shape (m,); wanted exactly when `event` is given.
-        params: any pytree of arrays, or None.
+        params: as in `FunctionPlant`.
         running_is_quadratic, terminal_is_quadratic: see `AbstractCost`; a wrong claim makes the
             solver slow or fail, never the cost wrong.
     """
@@ -162,16 +162,16 @@ class FunctionCost(AbstractCost):
         running_is_quadratic: bool = False,
         terminal_is_quadratic: bool = False,
     ):
-        times = array_leaf(event_times)
+        times = array_leaf(event_times, "event_times")
         if times.ndim != 1 or (times.size > 0) != (event is not None):
             raise ValueError(
                 "event_times: an array of shape (m,), m > 0, is wanted together with `event`, got "
                 f"shape {times.shape} and event={event!r}"
             )
-        self._running = None if running is None else _static_callable(running)
-        self._terminal = None if terminal is None else _static_callable(terminal)
-        self._event = None if event is None else _static_callable(event)
-        self.params = jtu.tree_map(array_leaf, params)
+        self._running = None if running is None else check_function("running", running)
+        self._terminal = None if terminal is None else check_function("terminal", terminal)
+        self._event = None if event is None else check_function("event", event)
+        self.params = as_params(params)
         self.event_times = times
         self.running_is_quadratic = bool(running_is_quadratic or running is None)
         self.terminal_is_quadratic = bool(terminal_is_quadratic or terminal is None)
@@ -209,10 +209,10 @@ class QuadraticCost(AbstractCost):
         target: x*, scalar or shape (nx,).
     """
 
-    Q: Array = eqx.field(converter=array_leaf, default=0.0)
-    R: Array = eqx.field(converter=array_leaf, default=0.0)
-    Qf: Array = eqx.field(converter=array_leaf, default=0.0)
-    target: Array = eqx.field(converter=array_leaf, default=0.0)
+    Q: Array = eqx.field(converter=leaf("Q"), default=0.0)
+    R: Array = eqx.field(converter=leaf("R"), default=0.0)
+    Qf: Array = eqx.field(converter=leaf("Qf"), default=0.0)
+    target: Array = eqx.field(converter=leaf("target"), default=0.0)
     running_is_quadratic: bool = eqx.field(static=True, default=True, init=False)
     terminal_is_quadratic: bool = eqx.field(static=True, default=True, init=False)
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from ._plant import AbstractPlant
-from ._types import array_leaf
+from ._types import leaf
 
 
 class AbstractNoise(eqx.Module):
@@ -50,7 +50,7 @@ class SignalDependentNoise(AbstractNoise):
     Raises ValueError at the call for an intensity of another shape.
     """
 
-    intensity: Array = eqx.field(converter=array_leaf)
+    intensity: Array = eqx.field(converter=leaf("intensity"))
 
     @classmethod
     def from_fraction(cls, fraction: ArrayLike, interval: ArrayLike) -> "SignalDependentNoise":
@@ -77,7 +77,7 @@ class AdditiveNoise(AbstractNoise):
     Raises ValueError at the call for an intensity of another shape.
     """
 
-    intensity: Array = eqx.field(converter=array_leaf)
+    intensity: Array = eqx.field(converter=leaf("intensity"))
 
     def __call__(self, plant, x, u, t):
         """Return F, shape (nx, nu) or (nx, nw)."""

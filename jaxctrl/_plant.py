@@ -1,16 +1,13 @@
 """What a plant is: dynamics as a pure function, with its own bounds and nominal control."""
 
 import abc
-from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.tree_util as jtu
 from jaxtyping import Array, ArrayLike, Float
 
-from ._types import Bounds, array_leaf, as_bounds
+from ._types import Bounds
 
 
 class AbstractPlant(eqx.Module):
@@ -105,61 +102,3 @@ class AbstractArm(AbstractHand):
                 f"x: got shape {jnp.shape(x)}, wanted ({self.nx},); a trajectory goes through "
                 "jax.vmap(arm.hand)"
             )
-
-
-def _static_callable(function: Callable) -> Callable:
-    """Keep a callable pytree (a neural network, say) as it is; make any other function static."""
-    if jtu.all_leaves([function]):
-        return jtu.Partial(function)
-    return function
-
-
-class FunctionPlant(AbstractPlant):
-    """A plant made of a plain function.
-
-    `dynamics(x, u, t)`, or `dynamics(x, u, t, params)` when `params` is given, returns the state's
-    derivative, or the next state when `discrete=True`; x has shape (nx,), u has shape (nu,).
-    The function itself is static (another function object recompiles); `params` is any pytree of
-    arrays, which may change without recompiling and through which gradients flow.
-
-    Arguments:
-        dynamics: the function above. A callable pytree (an `equinox` network) keeps its leaves.
-        nx, nu: sizes of state and control.
-        params: parameters handed to `dynamics`, or None.
-        discrete: whether `dynamics` returns the next state.
-        control_bounds: (lower, upper), scalars or of shape (nu,), or None.
-        nominal_control: where an optimisation starts, scalar or (nu,); zero by default.
-    """
-
-    dynamics: Callable = eqx.field(converter=_static_callable)
-    nx: int = eqx.field(static=True)
-    nu: int = eqx.field(static=True)
-    params: Any
-    discrete: bool = eqx.field(static=True)
-    control_bounds: Bounds | None
-    nominal_control: Float[Array, " nu"]
-
-    def __init__(
-        self,
-        dynamics: Callable,
-        *,
-        nx: int,
-        nu: int,
-        params: Any = None,
-        discrete: bool = False,
-        control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
-        nominal_control: ArrayLike = 0.0,
-    ):
-        self.dynamics = dynamics
-        self.nx = int(nx)
-        self.nu = int(nu)
-        self.params = jtu.tree_map(array_leaf, params)
-        self.discrete = bool(discrete)
-        self.control_bounds = as_bounds(control_bounds, (self.nu,))
-        self.nominal_control = jnp.broadcast_to(array_leaf(nominal_control), (self.nu,))
-
-    def __call__(self, x, u, t):
-        """Return `dynamics(x, u, t[, params])`, shape (nx,)."""
-        if self.params is None:
-            return self.dynamics(x, u, t)
-        return self.dynamics(x, u, t, self.params)

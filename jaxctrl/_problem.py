@@ -1,16 +1,14 @@
 """A control problem: a plant, a cost, noise and bounds on a grid of time."""
 
-import operator
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ._checks import check_array, is_concrete
+from ._checks import check_array, check_instance, check_integer, is_concrete, shape_of
 from ._cost import AbstractCost, Events, step_costs
+from ._function import closed
 from ._integrate import AbstractIntegrator, Euler, NextState
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant
@@ -56,25 +54,19 @@ class Problem(eqx.Module):
         control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
         integrator: AbstractIntegrator | None = None,
     ):
-        for name, value, kind, hint in (
-            ("plant", plant, AbstractPlant, "wrap a function in jc.FunctionPlant"),
-            ("cost", cost, AbstractCost, "wrap functions in jc.FunctionCost"),
-        ):
-            if not isinstance(value, kind):
-                raise TypeError(f"{name}: {kind.__name__} wanted, got {value!r}; {hint}")
-        try:
-            num_steps = operator.index(num_steps)
-        except TypeError:
-            raise TypeError(f"num_steps: an integer is wanted, got {num_steps!r}") from None
-        if num_steps < 1:
-            raise ValueError(f"num_steps: at least 1 is wanted, got {num_steps}")
-        if plant.nu < 1:
-            raise ValueError(f"plant: at least one control is wanted, got nu = {plant.nu}")
-        self.plant = plant
-        self.cost = cost
-        self.num_steps = num_steps
-        self.dt = array_leaf(dt)
-        self.noise = noise
+        check_instance("plant", plant, AbstractPlant, "a plant or a jc.FunctionPlant is wanted")
+        check_instance("cost", cost, AbstractCost, "a cost or a jc.FunctionCost is wanted")
+        check_instance(
+            "noise", noise, AbstractNoise | None, "jc.SignalDependentNoise or its like is wanted"
+        )
+        check_instance(
+            "integrator", integrator, AbstractIntegrator | None, "jc.RK4() or its like is wanted"
+        )
+        self.plant = closed(plant)
+        self.cost = closed(cost)
+        self.num_steps = num_steps = check_integer("num_steps", num_steps, 1)
+        self.dt = array_leaf(dt, "dt")
+        self.noise = closed(noise)
         self.control_bounds = as_bounds(
             control_bounds, _bounds_shape(control_bounds, plant.nu, num_steps)
         )
@@ -88,6 +80,8 @@ class Problem(eqx.Module):
         self.integrator = integrator
 
     def __check_init__(self):
+        for name in ("nx", "nu"):  # a plant of the user's own class may have any
+            check_integer(f"plant: {name}", getattr(self.plant, name), 1)
         if self.dt.shape != ():
             raise ValueError(f"dt: one number is wanted, got shape {self.dt.shape}")
         if is_concrete(self.dt) and not np.asarray(self.dt) > 0:  # jnp would trace it, under jit
@@ -225,14 +219,14 @@ class Problem(eqx.Module):
 
 def _bounds_shape(bounds, nu: int, num_steps: int) -> tuple[int, ...]:
     pair = isinstance(bounds, tuple | list)  # what is none is refused by `as_bounds`
-    per_step = pair and any(np.ndim(bound) == 2 for bound in bounds)
+    per_step = pair and any(len(shape_of(bound)) == 2 for bound in bounds)
     return (num_steps, nu) if per_step else (nu,)
 
 
 def check_x0(problem: Problem, x0: ArrayLike, name: str = "x0") -> Float[Array, " nx"]:
     """Return x0 as an array (nx,); raises ValueError or TypeError naming it."""
     nx = problem.plant.nx
-    shape = np.shape(x0) if not isinstance(x0, Callable) else ()
+    shape = shape_of(x0)
     hint = ""
     if shape == (nx, 1):
         hint = "drop the second axis"
@@ -248,7 +242,7 @@ def check_us(problem: Problem, us: ArrayLike | None) -> Float[Array, "T nu"]:
     if us is None:
         return problem.nominal_controls
     wanted = (problem.num_steps, problem.plant.nu)
-    shape = np.shape(us) if not isinstance(us, Callable) else ()
+    shape = shape_of(us)
     hint = ""
     if shape == wanted[::-1]:
         hint = "time is the leading axis: transpose it"

@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import is_concrete
 from ._controller import AbstractController, AffinePolicy, OpenLoop
+from ._jit import jit
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant
 from ._problem import Problem, check_x0
@@ -146,7 +147,7 @@ def _check_key(key) -> None:
         raise ValueError(f"key: got {shape} keys, wanted one; many trials go through jax.vmap")
 
 
-@eqx.filter_jit
+@jit
 def _run(problem: Problem, controller, plant, noise, pulses, x0, belief, key) -> Trajectory:
     T, scale = problem.num_steps, jnp.sqrt(problem.rate)
     if key is None:

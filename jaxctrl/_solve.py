@@ -1,6 +1,8 @@
 """The one loop that drives every iterative solver, and where its adjoint is attached."""
 
 import warnings
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,15 +12,20 @@ from jaxtyping import Array, ArrayLike
 
 from . import _status
 from ._adjoint import attach, attach_gains, known_sides
-from ._checks import is_concrete
+from ._checks import check_again, check_instance, check_integer, is_concrete
 from ._controller import AffinePolicy
 from ._cost import parts, step_costs
+from ._function import closed, describe
+from ._jit import jit
 from ._problem import Problem, check_us, check_x0
 from ._simulate import simulate
 from ._solution import Solution, SolveError, last_finite
-from ._solver import AbstractDirectSolver, AbstractSolver
+from ._solver import AbstractDirectSolver, AbstractSolver, Record
 from ._status import Reason, Status
 from ._types import promote
+
+LARGEST_HISTORY = 1.0
+"""What the record of all iterations may take [GB]."""
 
 
 def solve(
@@ -54,17 +61,16 @@ def solve(
     values that are not finite where they can be known; `SolveError` with `throw=True`
     (inside a `jit` of your own Equinox's runtime error, which cannot say why).
     """
-    if not isinstance(problem, Problem):
-        raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
-    if not isinstance(solver, AbstractSolver | AbstractDirectSolver):
-        hint = f"; write {solver.__name__}() with parentheses" if isinstance(solver, type) else ""
-        raise TypeError(f"solver: a solver is wanted, got {solver!r}{hint}")
-    if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 0:
-        raise ValueError(f"max_steps: an integer >= 0 is wanted, got {max_steps!r}")
+    check_instance("problem", problem, Problem, "a jc.Problem is wanted")
+    check_instance(
+        "solver", solver, AbstractSolver | AbstractDirectSolver, "a solver is wanted, jc.ILQR()"
+    )
+    max_steps = check_max_steps(max_steps)
     problem.check_single()
+    check_again(problem)
     start = check_x0(problem, x0)
     controls = roll(problem, us, start) if isinstance(us, AffinePolicy) else check_us(problem, us)
-    problem, start, controls = promote((problem, start, controls))
+    problem, start, controls = promote((closed(problem), start, controls))
     _check_finite(problem)
     for part in parts(problem.cost):
         if (check := getattr(part, "check_start", None)) is not None:
@@ -78,6 +84,18 @@ def roll(problem: Problem, policy: AffinePolicy, x0: Array) -> Array:
     """Return a policy's controls (T, nu) in closed loop from x0 (nx,), as constants."""
     leaves, rest = eqx.partition((problem, policy, x0), eqx.is_array)
     return simulate(*eqx.combine(jax.lax.stop_gradient(leaves), rest)).us
+
+
+def check_max_steps(max_steps: int) -> int:
+    """Return it as an int; raises TypeError or ValueError when it is none, or far too large."""
+    max_steps = check_integer("max_steps", max_steps, 0)
+    size = 8e-9 * len(Record._fields) * max_steps
+    if size > LARGEST_HISTORY:
+        raise ValueError(
+            f"max_steps: the history of {max_steps} iterations would take {size:.3g} GB of memory; "
+            f"at most {LARGEST_HISTORY:g} GB are allowed"
+        )
+    return max_steps
 
 
 def _check_finite(problem: Problem) -> None:
@@ -118,32 +136,8 @@ def _warn(problem: Problem, solver: AbstractSolver | AbstractDirectSolver, dtype
 
 def _check_functions(problem: Problem, x0: Array, us: Array) -> None:
     """Trace the plant and the cost once; their own exceptions pass, with a line of help."""
-    plant, cost, t = problem.plant, problem.cost, problem.ts[0]
-    scalar = ((), "()")
-    calls = (
-        ("plant", lambda: plant(x0, us[0], t), (x0.shape, f"({plant.nx},)")),
-        ("cost.running", lambda: cost.running(plant, x0, us[0], t), scalar),
-        ("cost.terminal", lambda: cost.terminal(plant, x0), scalar),
-        *(
-            ("cost's event", lambda group=group: group.value(plant, x0, 0), scalar)
-            for group in cost.events
-        ),
-        *(
-            (
-                f"{type(part).__name__}.residual",
-                lambda part=part: part.residual(plant, x0, us[0], x0, problem.dt),
-                (None, "(m,)"),
-            )
-            for part in step_costs(cost)
-        ),
-    )
-    for name, call, (shape, wanted) in calls:
-        try:
-            out = jax.eval_shape(call)
-        except Exception as error:
-            error.add_note(f"raised while {name} was traced, with x {x0.shape}, u {us[0].shape}")
-            error.add_note(_advice(error))
-            raise
+    for k, (name, _, (shape, wanted)) in enumerate(_calls(problem, x0, us[0])):
+        out = _traced(problem, k, x0, us[0])
         got = getattr(out, "shape", None)
         if got is None:
             raise TypeError(
@@ -159,10 +153,73 @@ def _check_functions(problem: Problem, x0: Array, us: Array) -> None:
             )
 
 
+def _calls(problem: Problem, x: Array, u: Array) -> tuple[tuple[str, Callable, Any], ...]:
+    """Return what a solve calls: names, functions without arguments, the shapes they return."""
+    plant, cost, t = problem.plant, problem.cost, problem.ts[0]
+    scalar = ((), "()")
+    return (
+        ("plant", lambda: plant(x, u, t), (x.shape, f"({plant.nx},)")),
+        ("cost.running", lambda: cost.running(plant, x, u, t), scalar),
+        ("cost.terminal", lambda: cost.terminal(plant, x), scalar),
+        *(
+            ("cost's event", lambda group=group: group.value(plant, x, 0), scalar)
+            for group in cost.events
+        ),
+        *(
+            (
+                f"{type(part).__name__}.residual",
+                lambda part=part: part.residual(plant, x, u, x, problem.dt),
+                (None, "(m,)"),
+            )
+            for part in step_costs(cost)
+        ),
+    )
+
+
+def _traced(problem: Problem, k: int, x: Array, u: Array) -> Any:
+    """Return the shape of what the k-th of `_calls` returns.
+
+    Raises TypeError when it uses a traced value that is no leaf of the problem: nothing would ask
+    for the derivative with respect to it, which would come out as zero.
+    """
+    arrays, static = eqx.partition(problem, eqx.is_array)
+    name = _calls(problem, x, u)[k][0]
+
+    def function(arrays, x, u):
+        return _calls(eqx.combine(arrays, static), x, u)[k][1]()
+
+    try:
+        jaxpr, out = jax.make_jaxpr(function, return_shape=True)(arrays, x, u)
+    except Exception as error:
+        error.add_note(f"raised while {name} was traced, with x {x.shape}, u {u.shape}")
+        error.add_note(_advice(error))
+        raise
+    for const in jaxpr.consts:
+        if not is_concrete(const):
+            owner = problem.plant if name == "plant" else problem.cost
+            raise TypeError(
+                f"{name}: {describe(owner)} uses a traced value, {jax.typeof(const)}, in a way "
+                "that cannot be seen from outside, so that its derivative would be lost; make it "
+                "a field of the class, or hand it to the function as `params=`"
+            )
+    return out
+
+
 def _advice(error: Exception) -> str:
     """Say what usually mends an error in a user's function."""
-    if isinstance(error, jax.errors.ConcretizationTypeError):
+    if isinstance(error, jax.errors.TracerArrayConversionError):
+        return (
+            "use jnp in the place of np: jnp.sin(x), jnp.linalg.norm(x); only what is a NumPy "
+            "array from the start may go through NumPy"
+        )
+    if isinstance(error, jax.errors.TracerBoolConversionError):
         return "use jnp.where or jax.lax.cond where it depends on values of x, u or t"
+    if isinstance(error, jax.errors.ConcretizationTypeError):
+        return (
+            "use jnp.sin(x) in the place of math.sin(x) or float(x), and jnp.where or jax.lax.cond "
+            "where it depends on values; a JAX array that it closes over and whose value it needs "
+            "may be a NumPy array or a Python number"
+        )
     return (
         "it is called as dynamics(x, u, t), running(x, u, t), terminal(x) or event(x, i), with "
         "`params` as a last argument when these are given"
@@ -179,10 +236,13 @@ def run(
     return run_iteration(problem, solver, x0, us, max_steps)
 
 
-@eqx.filter_jit
+@jit
 def run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: int) -> Solution:
     _check_functions(problem, x0, us)
-    frozen, x0_frozen, us = jax.lax.stop_gradient((problem, x0, us))
+    frozen, x0_frozen, us = jax.tree.map(
+        lambda leaf: jax.lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf,
+        (problem, x0, us),
+    )
     state, history, count = _iterate(frozen, solver, x0_frozen, us, max_steps)
     status = _final_status(solver, state)
     failed = status.code >= int(Reason.NONFINITE_INPUT)

@@ -38,6 +38,7 @@ class Reason(enum.IntEnum):
     NONFINITE_DYNAMICS = 20
     NONFINITE_COST = 21
     NONFINITE_DERIVATIVE = 22
+    INVALID_TIME_STEP = 23
 
     @property
     def message(self) -> str:
@@ -93,6 +94,7 @@ _MESSAGES = {
     "trajectory; start from other controls `us`, or, at step 0, from another x0",
     Reason.NONFINITE_DERIVATIVE: "failed: a derivative of the dynamics or of the cost is not "
     "finite at step {index}, where its value is",
+    Reason.INVALID_TIME_STEP: "failed: the time step dt is not above zero",
 }
 
 

@@ -1,5 +1,6 @@
 """Types that every floor shares: array leaves, bounds, and the local linear-quadratic model."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,19 +11,34 @@ from jaxtyping import Array, ArrayLike, Float
 Bounds = tuple[Array, Array]
 
 
-def array_leaf(value: ArrayLike) -> Array:
+def array_leaf(value: ArrayLike, name: str = "") -> Array:
     """Return `value` as a floating array, so that it is a leaf with a gradient.
 
     Python numbers and integers take JAX's default float type of the moment; floating arrays keep
-    theirs. Raises TypeError for complex or non-numeric values.
+    theirs. Raises TypeError, naming the argument if `name` is given, for what is no real number,
+    for ragged lists, and for floats too coarse to optimise with, such as float16.
     """
-    array = jnp.asarray(value)
-    if jnp.issubdtype(array.dtype, jnp.floating):
+    label = f"{name}: " if name else ""
+    text = isinstance(value, str | bytes)  # NumPy would read b"1" as a number
+    try:
+        array = jnp.asarray(None if text else value)
+    except (TypeError, ValueError):
+        array = None
+    if array is None or value is None or text:
+        raise TypeError(f"{label}a real number or an array is wanted, got {value!r}") from None
+    if array.dtype in (jnp.float32, jnp.float64):
         # With its dtype given the array is not weakly typed, which would compile a second time.
         return jnp.asarray(array, array.dtype)
     if jnp.issubdtype(array.dtype, jnp.integer) or array.dtype == jnp.bool_:
         return array.astype(jnp.result_type(float))
-    raise TypeError(f"a real number or array is wanted, got dtype {array.dtype}")
+    coarse = jnp.issubdtype(array.dtype, jnp.floating)
+    hint = "; that is too coarse for an optimisation, use float32 or float64" if coarse else ""
+    raise TypeError(f"{label}a real number or an array is wanted, got dtype {array.dtype}{hint}")
+
+
+def leaf(name: str) -> Callable[[ArrayLike], Array]:
+    """Return `array_leaf` with the name of a field, as its converter."""
+    return lambda value: array_leaf(value, name)
 
 
 def as_bounds(
@@ -30,7 +46,8 @@ def as_bounds(
 ) -> Bounds | None:
     """Return (lower, upper) broadcast to `shape`, or None.
 
-    Raises ValueError when `bounds` is not a pair or does not broadcast to `shape`.
+    Raises ValueError when `bounds` is not a pair or does not broadcast to `shape`, TypeError for
+    what is no number.
     """
     if bounds is None:
         return None
@@ -38,7 +55,7 @@ def as_bounds(
         raise ValueError(f"{name}: a pair (lower, upper) is wanted, got {bounds!r}")
     pair = []
     for which, bound in zip(("lower", "upper"), bounds, strict=True):
-        array = array_leaf(bound)
+        array = array_leaf(bound, f"{name}: the {which} bound")
         try:
             pair.append(jnp.broadcast_to(array, shape))
         except ValueError:

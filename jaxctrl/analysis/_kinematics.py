@@ -4,13 +4,13 @@ from typing import Any
 
 import numpy as np
 
-from . import _inputs
+from .. import _samples
 from ._parabola import vertex
 
 
 def _path_and_instants(path: Any, ts: Any, fewest: int) -> tuple[np.ndarray, np.ndarray]:
-    path = _inputs.path("path", path, fewest)
-    ts = _inputs.instants(ts, fewest)
+    path = _samples.path("path", path, fewest)
+    ts = _samples.instants(ts, fewest)
     if path.shape[-2] != ts.size:
         raise ValueError(f"path: {path.shape[-2]} samples given for the {ts.size} of `ts`")
     return path, ts
@@ -79,11 +79,11 @@ def curvature(path: Any, ts: Any, *, velocities: Any = None, floor: float = 0.01
     Raises: as `velocity`, and ValueError for a floor outside [0, 1).
     """
     path, ts = _path_and_instants(path, ts, 4)
-    floor = _inputs.fraction("floor", floor)
+    floor = _samples.fraction("floor", floor)
     if velocities is None:
         v, a = velocity(path, ts), acceleration(path, ts)
     else:
-        v = _inputs.path("velocities", velocities, 4)
+        v = _samples.path("velocities", velocities, 4)
         if v.shape != path.shape:
             raise ValueError(f"velocities: shape {v.shape} given, wanted {path.shape} as `path`")
         a = velocity(v, ts)
@@ -102,7 +102,7 @@ def path_length(path: Any) -> np.ndarray:
     Returns: lengths [m], (...,), NaN for a record with a gap.
     Raises: ValueError for a wrong shape, too few samples or no finite sample.
     """
-    steps = np.diff(_inputs.path("path", path, 2), axis=-2)
+    steps = np.diff(_samples.path("path", path, 2), axis=-2)
     return np.linalg.norm(steps, axis=-1).sum(axis=-1)
 
 
@@ -117,7 +117,7 @@ def deviation(path: Any) -> np.ndarray:
     Raises: ValueError for a wrong shape, too few samples, no finite sample, or a path that ends
         where it began and so has no such line.
     """
-    path = _inputs.path("path", path, 3)
+    path = _samples.path("path", path, 3)
     offsets = path - path[..., :1, :]
     chord = offsets[..., -1, :]
     length = np.linalg.norm(chord, axis=-1, keepdims=True)
@@ -142,7 +142,7 @@ def path_distance(path: Any, other: Any, *, num_samples: int = 101) -> np.ndarra
     """
     along = []
     for name, value in (("path", path), ("other", other)):
-        points = _inputs.all_finite(name, _inputs.path(name, value, 2))
+        points = _samples.all_finite(name, _samples.path(name, value, 2))
         if points.ndim != 2:
             raise ValueError(f"{name}: one path (N, 2) is wanted, got shape {points.shape}")
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -168,9 +168,9 @@ def clearance(path: Any, centre: Any, radius: Any) -> np.ndarray:
     Returns: the least distance from the rim [m], (...,), negative inside; NaN with a gap.
     Raises: ValueError for a wrong shape, too few samples or no finite sample.
     """
-    path = _inputs.path("path", path, 2)
-    centre = _inputs.shaped("centre", centre, (2,), "(2,)", batched=False)
-    radius = _inputs.shaped("radius", radius, (), "()", batched=False)
+    path = _samples.path("path", path, 2)
+    centre = _samples.shaped("centre", centre, (2,), "(2,)")
+    radius = _samples.shaped("radius", radius, (), "()")
     begin, step = path[..., :-1, :] - centre, np.diff(path, axis=-2)
     squared = (step**2).sum(axis=-1)
     along = -(begin * step).sum(axis=-1) / np.where(squared > 0, squared, 1.0)
@@ -193,9 +193,9 @@ def movement_interval(
     Raises: ValueError for a wrong shape, too few samples, times that do not increase, negative
         speeds, a record without movement, or a threshold outside [0, 1).
     """
-    ts = _inputs.instants(ts, 3)
-    speed = _inputs.speeds(speed, ts.size)
-    level = _inputs.fraction("threshold", threshold) * speed.max(axis=-1, keepdims=True)
+    ts = _samples.instants(ts, 3)
+    speed = _samples.speeds(speed, ts.size)
+    level = _samples.fraction("threshold", threshold) * speed.max(axis=-1, keepdims=True)
     whole = np.isfinite(speed).all(axis=-1)
 
     def rise(ts: np.ndarray, speed: np.ndarray) -> np.ndarray:

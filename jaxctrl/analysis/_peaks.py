@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import find_peaks
 
-from . import _inputs
+from .. import _samples
 from ._kinematics import movement_interval
 from ._parabola import vertex
 
@@ -73,9 +73,9 @@ def speed_peaks(ts: Any, speed: Any, *, prominence: float = 0.01) -> SpeedProfil
     Raises: ValueError for a wrong shape, too few samples, times that do not increase, a gap,
         negative speeds, no movement, or a prominence outside [0, 1).
     """
-    ts = _inputs.instants(ts, 3)
-    speed = _inputs.all_finite("speed", _inputs.speeds(speed, ts.size, batched=False))
-    least = _inputs.fraction("prominence", prominence) * speed.max()
+    ts = _samples.instants(ts, 3)
+    speed = _samples.all_finite("speed", _samples.speeds(speed, ts.size, batched=False))
+    least = _samples.fraction("prominence", prominence) * speed.max()
     peaks = _standing_out(np.pad(speed, 1), least) - 1
     valleys = [a + speed[a:b].argmin() for a, b in pairwise(peaks)]
     peak_times, peak_speeds = _vertices(ts, speed, peaks)
@@ -110,11 +110,11 @@ def curvature_peaks(
         last sample is none.
     Raises: as `speed_peaks`, and ValueError for a curvature of another shape than `speed`.
     """
-    ts = _inputs.instants(ts, 3)
-    speed = _inputs.all_finite("speed", _inputs.speeds(speed, ts.size, batched=False))
+    ts = _samples.instants(ts, 3)
+    speed = _samples.all_finite("speed", _samples.speeds(speed, ts.size, batched=False))
     wanted = f"({ts.size},), as long as `ts`"
-    bend = np.abs(_inputs.shaped("curvature", curvature, (ts.size,), wanted, batched=False))
-    prominence = _inputs.fraction("prominence", prominence)
+    bend = np.abs(_samples.shaped("curvature", curvature, (ts.size,), wanted))
+    prominence = _samples.fraction("prominence", prominence)
     onset, end = movement_interval(ts, speed, threshold=threshold)
     used = np.isfinite(bend) & (ts >= onset) & (ts <= end)
     if not used.any():

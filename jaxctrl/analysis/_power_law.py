@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, correlate, sosfiltfilt
 
-from . import _inputs
+from .. import _samples
 from ._kinematics import curvature as measure_curvature, speed as measure_speed
 
 HUMAN_EXPONENT = (0.338, 0.009)
@@ -152,7 +152,7 @@ def power_law_null(
         "cutoff": cutoff,
         "extent": extent,
     }.items():
-        _inputs.positive(name, value, "()")
+        _samples.positive(name, value, "()")
     if cutoff * duration < 5 or rate < 5 * cutoff:
         raise ValueError(
             f"cutoff: from 5 / duration = {5 / duration:g} Hz to rate / 5 = {rate / 5:g} Hz is "
@@ -181,11 +181,10 @@ def _records(name: str, value: Any) -> Sequence[np.ndarray]:
     wanted = "(N,), (trials, N) or a list of (N,)"
     if isinstance(value, list | tuple) and value and np.ndim(value[0]) == 1:
         entries = [
-            _inputs.shaped(f"{name}[{i}]", entry, (None,), "(N,)", batched=False)
-            for i, entry in enumerate(value)
+            _samples.shaped(f"{name}[{i}]", entry, (None,), "(N,)") for i, entry in enumerate(value)
         ]
     else:
-        array = _inputs.shaped(name, value, (None,), wanted)
+        array = _samples.shaped(name, value, (None,), wanted, batched=True)
         if array.ndim > 2:
             raise ValueError(f"{name}: shape {array.shape} given, wanted {wanted}")
         entries = list(np.atleast_2d(array))
@@ -196,7 +195,7 @@ def _logarithms(speed: Any, curvature: Any, straight: float, trim: float) -> lis
     """Return log r and log v (2, n_i) of the samples to be used, for each record."""
     if not 0 <= straight < np.inf:
         raise ValueError(f"straight: a curvature [1/m] of at least 0 is wanted, got {straight}")
-    trim = _inputs.fraction("trim", trim, below=0.5)
+    trim = _samples.fraction("trim", trim, below=0.5)
     speeds, curvatures = _records("speed", speed), _records("curvature", curvature)
     shapes = [len(v) for v in speeds], [len(k) for k in curvatures]
     if shapes[0] != shapes[1]:

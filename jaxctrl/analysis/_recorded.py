@@ -67,9 +67,10 @@ def load_movements(
         for name, ts, path in trials(data):
             print(name, speed(path, ts).max(), symmetry(ts, speed(path, ts)), deviation(path))
 
-    Raises: TypeError for another source. ValueError naming the argument that does not fit, a
-    missing column, and the trials whose times are not finite or do not increase, that have fewer
-    than 10 samples or a longer gap, or were recorded too slowly for `cutoff`.
+    Raises: TypeError for another source; FileNotFoundError. ValueError naming the argument that
+    does not fit, a file that is empty or something else, a missing column, and the trials whose
+    times are not finite or do not increase, that have fewer than 10 samples or a longer gap, or
+    were recorded too slowly for `cutoff`.
     """
     _check_numbers(rate, cutoff, order, max_gap)
     if length_unit not in _LENGTHS:
@@ -129,23 +130,47 @@ def _check_numbers(rate: float, cutoff: float | None, order: int, max_gap: float
 def _table(source: str | Path | xarray.Dataset, length_unit: str) -> pd.DataFrame:
     """Return the samples in long form: columns trial, and time, x and y as floats."""
     if isinstance(source, str | Path):
-        path = Path(source)
-        if path.suffix.lower() not in _NETCDF:
-            table = pd.read_csv(path, comment="#", skipinitialspace=True)
-            _require(list(table.columns))
-            return _as_numbers(table)
-        source = xarray.load_dataset(path, decode_times=False, decode_timedelta=False)
+        found = _opened(Path(source))
+        if isinstance(found, pd.DataFrame):
+            return _as_numbers(found)
+        source = found
     if not isinstance(source, xarray.Dataset):
         raise TypeError(f"source: got {type(source).__name__}, wanted a path or an xarray.Dataset")
     _check_units(source, length_unit)
     return _as_numbers(_long_form(source))
 
 
+def _opened(path: Path) -> pd.DataFrame | xarray.Dataset:
+    """Return what a file holds: a table with the four columns, or a Dataset.
+
+    Raises FileNotFoundError, or ValueError, naming the path, for what is no such file.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"source: there is no file {path}")
+    netcdf = path.suffix.lower() in _NETCDF
+    if not path.stat().st_size:
+        raise ValueError(f"source: the file {path} is empty; record or export it again")
+    try:
+        if netcdf:
+            return xarray.load_dataset(path, decode_times=False, decode_timedelta=False)
+        table = pd.read_csv(path, comment="#", skipinitialspace=True)
+        _require([str(column) for column in table.columns])
+    except Exception as error:
+        kind, reason = "netCDF" if netcdf else "CSV", str(error).removeprefix("source: ")
+        raise ValueError(
+            f"source: {path} cannot be read as {kind}: {reason.splitlines()[0]:.200}. Export a CSV "
+            "file with the columns trial, time, x and y, separated by commas, or netCDF with the "
+            "ending .nc"
+        ) from error
+    return table
+
+
 def _require(names: list) -> None:
     """Raise ValueError unless the four columns are among the names."""
     missing = [name for name in _COLUMNS if name not in names]
     if missing:
-        raise ValueError(f"source: {', '.join(missing)} missing; got {', '.join(map(str, names))}")
+        got = ", ".join(repr(name) if not str(name).isprintable() else str(name) for name in names)
+        raise ValueError(f"source: {', '.join(missing)} missing; got {got:.200}")
 
 
 def _as_numbers(table: pd.DataFrame) -> pd.DataFrame:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from . import _inputs
+from .. import _samples
 
 _WIDTH_IN_SD = 4.133  # sqrt(2 pi e)
 
@@ -39,9 +39,9 @@ def effective_width(points: Any, direction: Any) -> np.ndarray:
     Raises: ValueError for a wrong shape, a single point, numbers that are not finite, or a
         direction of length 0.
     """
-    points = _inputs.all_finite("points", _inputs.path("points", points, 2))
-    direction = _inputs.shaped("direction", direction, (2,), "(2,)", batched=False)
-    length = np.linalg.norm(_inputs.all_finite("direction", direction))
+    points = _samples.all_finite("points", _samples.path("points", points, 2))
+    direction = _samples.shaped("direction", direction, (2,), "(2,)")
+    length = np.linalg.norm(_samples.all_finite("direction", direction))
     if length == 0:
         raise ValueError("direction: a length above 0 is wanted, got 0")
     return _WIDTH_IN_SD * (points @ (direction / length)).std(axis=-1, ddof=1)
@@ -135,8 +135,8 @@ _LAWS = {
 
 
 def _ratio(amplitude: Any, width: Any) -> np.ndarray:
-    amplitude = _inputs.positive("amplitude", amplitude, "(...)")
-    width = _inputs.positive("width", width, "(...)")
+    amplitude = _samples.positive("amplitude", amplitude, "(...)")
+    width = _samples.positive("width", width, "(...)")
     try:
         return amplitude / width
     except ValueError:
@@ -167,7 +167,7 @@ def fit_speed_accuracy(amplitude: Any, width: Any, duration: Any) -> SpeedAccura
     Raises: ValueError for shapes that do not fit, numbers that are not finite or not above 0, or
         fewer than 4 different ratios A / W.
     """
-    duration = _inputs.positive("duration", duration, "(n,)")
+    duration = _samples.positive("duration", duration, "(n,)")
     ratio = _ratio(amplitude, width)
     if ratio.ndim != 1 or duration.shape != ratio.shape:
         raise ValueError(

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from . import _inputs
+from .. import _samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +42,8 @@ def endpoint_ellipse(points: Any, *, coverage: float = 0.95) -> Ellipse:
     Raises: ValueError for a wrong shape, fewer than 3 points, one that is not finite, or a
         coverage outside (0, 1).
     """
-    points = _inputs.shaped("points", points, (None, 2), "(n, 2)", batched=False)
-    _inputs.all_finite("points", points)
+    points = _samples.shaped("points", points, (None, 2), "(n, 2)")
+    _samples.all_finite("points", points)
     if len(points) < 3:
         raise ValueError(f"points: at least 3 are wanted, got {len(points)}")
     if not 0 < coverage < 1:
@@ -89,14 +89,14 @@ def uncontrolled_manifold(samples: Any, jacobian: Any) -> UncontrolledManifold:
     Raises: ValueError for shapes that do not fit, fewer than 2 trials, m >= n, numbers that are
         not finite, or a Jacobian of rank below m.
     """
-    samples = _inputs.numbers("samples", samples, "(trials, n) or (trials, N, n)")
+    samples = _samples.numbers("samples", samples, "(trials, n) or (trials, N, n)")
     if samples.ndim not in (2, 3) or not samples.size:
         raise ValueError(
             f"samples: shape {samples.shape} given, wanted (trials, n) or (trials, N, n)"
         )
     if len(samples) < 2:
         raise ValueError(f"samples: at least 2 trials are wanted, got {len(samples)}")
-    _inputs.all_finite("samples", samples)
+    _samples.all_finite("samples", samples)
     n = samples.shape[-1]
     wanted = ("m", n) if samples.ndim == 2 else (samples.shape[1], "m", n)
     tangent = _task_basis(jacobian, wanted)
@@ -118,7 +118,7 @@ def uncontrolled_manifold(samples: Any, jacobian: Any) -> UncontrolledManifold:
 def _task_basis(jacobian: Any, wanted: tuple[str | int, ...]) -> np.ndarray:
     """Return an orthonormal basis of the row space of J, of its shape (..., m, n)."""
     shape = f"({', '.join(map(str, wanted))})"
-    jacobian = _inputs.numbers("jacobian", jacobian, shape)
+    jacobian = _samples.numbers("jacobian", jacobian, shape)
     fits = jacobian.ndim == len(wanted) and jacobian.size and all(
         want in ("m", size) for size, want in zip(jacobian.shape, wanted, strict=True)
     )  # fmt: skip
@@ -127,7 +127,7 @@ def _task_basis(jacobian: Any, wanted: tuple[str | int, ...]) -> np.ndarray:
     m, n = jacobian.shape[-2:]
     if m >= n:
         raise ValueError(f"jacobian: fewer rows than columns are wanted, got {m} of {n} columns")
-    _inputs.all_finite("jacobian", jacobian)
+    _samples.all_finite("jacobian", jacobian)
     _, gains, basis = np.linalg.svd(jacobian, full_matrices=False)
     if (gains[..., -1] <= gains[..., 0] * n * np.finfo(float).eps).any():
         raise ValueError(f"jacobian: rank {m} is wanted, got a lower one")

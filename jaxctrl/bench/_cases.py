@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._cost import QuadraticCost
-from .._plant import FunctionPlant
+from .._function_plant import FunctionPlant
 from .._problem import Problem
 from ..linear import solve_positive
 

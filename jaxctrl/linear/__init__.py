@@ -12,5 +12,6 @@ from ._doors import (
     lqr_rollout as lqr_rollout,
     solve_factorised as solve_factorised,
 )
-from ._riccati import FreeLQR as FreeLQR, Sweep as Sweep
+from ._factorised import FreeLQR as FreeLQR
+from ._riccati import Sweep as Sweep
 from ._step import Value as Value

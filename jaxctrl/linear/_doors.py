@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import ArrayLike, Float
 
 from .._types import LocalModel
-from . import _box_lqr, _boxqp, _riccati
+from . import _box_lqr, _boxqp, _factorised, _riccati
 from ._engine import find_engine
 from ._riccati import Sweep
 
@@ -13,9 +13,9 @@ box_lqr = eqx.filter_jit(_box_lqr.box_lqr)
 box_qp = eqx.filter_jit(_boxqp.box_qp)
 costates = eqx.filter_jit(_riccati.costates)
 evaluate = eqx.filter_jit(_riccati.evaluate)
-factorise = eqx.filter_jit(_riccati.factorise)
-solve_factorised = eqx.filter_jit(_riccati.solve_factorised)
-lqr_rollout = eqx.filter_jit(_riccati.lqr_rollout)
+factorise = eqx.filter_jit(_factorised.factorise)
+solve_factorised = eqx.filter_jit(_factorised.solve_factorised)
+lqr_rollout = eqx.filter_jit(_factorised.lqr_rollout)
 
 
 def lqr(

@@ -19,7 +19,7 @@ from .._cost import AbstractCost, parts
 from .._jacobian import dependence
 from .._plant import AbstractArm, AbstractHand
 from .._problem import Problem, check_x0
-from .._types import array_leaf
+from .._types import leaf
 from ..plants import FreeHand, PolynomialJerk, RateControlled
 from ..tasks import (
     Effort,
@@ -154,7 +154,7 @@ class MinimumEnergy(AbstractModel):
         weight: r, as `effort` in `jc.tasks.reach`.
     """
 
-    weight: Float[Array, "..."] = eqx.field(converter=array_leaf, default=1e-4)
+    weight: Float[Array, "..."] = eqx.field(converter=leaf("weight"), default=1e-4)
     name: ClassVar[str] = "minimum energy"
     source: ClassVar[str] = "Li (2006), section 3.5; Todorov & Jordan (2002)"
     smooth: ClassVar[bool] = False
@@ -187,9 +187,9 @@ class MinimumTorqueChange(AbstractModel):
         balance: weight of the net torque at the end [1/(N m)^2]; zero frees it, as for a hit.
     """
 
-    weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-7)
-    effort: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-5)
-    balance: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-4)
+    weight: Float[Array, ""] = eqx.field(converter=leaf("weight"), default=1e-7)
+    effort: Float[Array, ""] = eqx.field(converter=leaf("effort"), default=1e-5)
+    balance: Float[Array, ""] = eqx.field(converter=leaf("balance"), default=1e-4)
     name: ClassVar[str] = "minimum torque change"
     source: ClassVar[str] = "Uno, Kawato & Suzuki (1989); Li (2006), eq. 2.3"
     smooth: ClassVar[bool] = True
@@ -222,8 +222,10 @@ class MinimumJerk(AbstractModel):
         acceleration_weight: of the squared acceleration at the end [s^4/m^2].
     """
 
-    weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-12)
-    acceleration_weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-4)
+    weight: Float[Array, ""] = eqx.field(converter=leaf("weight"), default=1e-12)
+    acceleration_weight: Float[Array, ""] = eqx.field(
+        converter=leaf("acceleration_weight"), default=1e-4
+    )
     name: ClassVar[str] = "minimum jerk"
     source: ClassVar[str] = "Flash & Hogan (1985); Li (2006), eq. 2.1"
     smooth: ClassVar[bool] = True

@@ -3,7 +3,7 @@
 Arms can be put into force fields (`InField`).
 """
 
-from .._plant import FunctionPlant
+from .._function_plant import FunctionPlant
 from ._acrobot import Acrobot
 from ._arm import TorqueArm, TwoLinkArm
 from ._car import Car

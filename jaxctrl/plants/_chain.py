@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from .._checks import check_integer
 from .._plant import AbstractArm
 from .._types import Bounds, as_bounds
 from ._parameters import parameter, positive, state_part
@@ -66,9 +67,7 @@ class Chain(AbstractArm):
         gravity: ArrayLike = 0.0,
         control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
     ):
-        if n != int(n) or n < 1:
-            raise ValueError(f"n: a whole number of at least one link is wanted, got {n}")
-        n = int(n)
+        n = check_integer("n", n, 1)
         self.nx, self.nu, self.num_joints, self.discrete = 2 * n, n, n, False
         self.length = positive("length", TOTAL_LENGTH / n if length is None else length, (n,))
         self.mass = positive("mass", TOTAL_MASS / n if mass is None else mass, (n,))

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from . import _inputs, _marks
+from .. import _samples
+from . import _marks
 from ._style import COLUMN, drawing, panels
 
 _MANY = 8  # beyond so many unlabelled lanes only the best stands out
@@ -48,7 +49,7 @@ def convergence(
     ):
         if value is not None:
             traces.append((label, _lanes(name, value, np.shape(cost))))
-    names = _inputs.names_for("labels", labels, len(costs), "lane")
+    names = _samples.names_for("labels", labels, len(costs), "lane")
     size = (COLUMN, 2.1 if len(traces) == 1 else 0.4 + 1.25 * len(traces))
     figure, axes = panels(len(traces), sharex=True, size=size)
     best = None
@@ -73,10 +74,10 @@ def convergence(
 def _lanes(name: str, value: Any, shape: tuple[int | None, ...] | None) -> np.ndarray:
     """Return a history as (lanes, n); a flat one is a single lane."""
     wanted = "(n,) or (lanes, n)" if shape is None else f"{shape}, as `cost`"
-    array = _inputs.numbers(name, value, wanted)
+    array = _samples.samples(name, value, wanted)
     if array.ndim == 1 and shape is None:
         shape = (None,)
-    return np.atleast_2d(_inputs.shaped(name, array, wanted, shape or (None, None)))
+    return np.atleast_2d(_samples.shaped(name, array, shape or (None, None), wanted))
 
 
 def _last(lane: np.ndarray) -> tuple[int, float]:

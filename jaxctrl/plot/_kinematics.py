@@ -10,7 +10,8 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 
-from . import _inputs, _marks
+from .. import _samples
+from . import _marks
 from ._style import COLUMN, drawing, figure_of, panels
 
 _CURVES = "(N,), (trials, N) or a list of these"
@@ -39,12 +40,12 @@ def speed_and_curvature(
     Returns: the Figure.
     Raises: ValueError for a wrong shape, a wrong number of labels, or no finite sample.
     """
-    above = _inputs.groups("speeds", speeds, _CURVES)
-    below = [np.abs(group) for group in _inputs.groups("curvatures", curvatures, _CURVES)]
+    above = _samples.groups("speeds", speeds, _CURVES)
+    below = [np.abs(group) for group in _samples.groups("curvatures", curvatures, _CURVES)]
     _same_shapes("curvatures", below, "speeds", above)
-    names = _inputs.names_for("labels", labels, len(above), "entry of `speeds`")
-    clocks = _inputs.clocks(ts, above, "speeds")
-    instants = [] if marks is None else _inputs.times("marks", np.atleast_1d(marks))
+    names = _samples.names_for("labels", labels, len(above), "entry of `speeds`")
+    clocks = _samples.clocks(ts, above, "speeds")
+    instants = [] if marks is None else _samples.times("marks", np.atleast_1d(marks))
     size = (COLUMN, 2.9)
     figure, axes = panels(2, sharex=True, size=size)
     for ax, groups, label in (
@@ -93,12 +94,12 @@ def power_law(
     Raises: ValueError for a wrong shape, a wrong number of labels, an exponent without gain or the
         reverse, or an entry without any positive sample.
     """
-    clouds = _clouds(_inputs.groups("radius", radius, _CURVES), speed, longest)
-    names = _inputs.names_for("labels", labels, len(clouds), "entry of `radius`")
+    clouds = _clouds(_samples.groups("radius", radius, _CURVES), speed, longest)
+    names = _samples.names_for("labels", labels, len(clouds), "entry of `radius`")
     if (exponent is None) != (gain is None):
         raise ValueError("exponent, gain: both or neither are wanted")
     laws = [
-        _inputs.one_for_each(name, np.nan if value is None else value, len(clouds))
+        _samples.one_for_each(name, np.nan if value is None else value, len(clouds))
         for name, value in (("exponent", exponent), ("gain", gain))
     ]
     with drawing(ax, (COLUMN, 2.3)) as axes:
@@ -118,7 +119,7 @@ def power_law(
 
 def _clouds(radii: list[np.ndarray], speed: Any, longest: float) -> list[np.ndarray]:
     """Return the positive samples of each entry up to a radius, radius and speed, as (2, n)."""
-    speeds = _inputs.groups("speed", speed, _CURVES)
+    speeds = _samples.groups("speed", speed, _CURVES)
     _same_shapes("speed", speeds, "radius", radii)
     clouds = []
     for i, pair in enumerate(zip(radii, speeds, strict=True)):

@@ -12,8 +12,6 @@ from matplotlib.colors import Colormap, ListedColormap, to_hex, to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
-from ._inputs import mean_of
-
 TARGET = {"marker": "o", "markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.3}
 START = {"marker": "o", "markersize": 4.5, "markeredgewidth": 0.0}
 VIA = {"marker": "x", "markersize": 6, "markeredgewidth": 1.3}
@@ -176,3 +174,11 @@ def legend(ax: Axes) -> None:
             handle.set_alpha(1.0)
             handle.set_linewidth(max(handle.get_linewidth(), 0.9))
             handle.set_markersize(min(handle.get_markersize(), 6.5))
+
+
+def mean_of(group: np.ndarray) -> np.ndarray:
+    """Return the mean over the trials of a group, sample by sample, over the finite ones."""
+    finite = np.isfinite(group)
+    count = finite.sum(axis=0)
+    total = np.where(finite, group, 0.0).sum(axis=0)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

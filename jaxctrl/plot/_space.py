@@ -11,7 +11,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, MultipleLocator
 
-from . import _inputs, _marks, _plane
+from .. import _samples
+from . import _marks, _plane
 from ._style import COLUMN, drawing, figure_of
 
 _PATHS = "(N, 2), (trials, N, 2) or a list of these"
@@ -48,12 +49,12 @@ def hand_paths(
     Raises: ValueError for a wrong shape, a wrong number of labels, no finite sample, or a radius
         that is not positive.
     """
-    groups = _inputs.groups("paths", paths, _PATHS, (2,))
-    names = _inputs.names_for("labels", labels, len(groups), "entry of `paths`")
-    marks, crosses = _inputs.points("targets", targets), _inputs.points("via", via)
+    groups = _samples.groups("paths", paths, _PATHS, (2,))
+    names = _samples.names_for("labels", labels, len(groups), "entry of `paths`")
+    marks, crosses = _samples.points("targets", targets), _samples.points("via", via)
     discs = _discs(obstacles)
-    means = [_inputs.mean_of(group) for group in groups]
-    begins = _marks.first_points(means) if starts is None else _inputs.points("starts", starts)
+    means = [_marks.mean_of(group) for group in groups]
+    begins = _marks.first_points(means) if starts is None else _samples.points("starts", starts)
     corners = [discs[:, :2] + sign * discs[:, 2:] for sign in (-1, 1)]
     everything = np.concatenate(
         [*(group.reshape(-1, 2) for group in groups), marks, begins, crosses, *corners]
@@ -98,8 +99,8 @@ def joint_paths(
     Raises: ValueError for a wrong shape, a wrong number of labels, or no finite sample.
     """
     paths = _plane_paths("qs", qs)
-    names = _inputs.names_for("labels", labels, len(paths), "path")
-    marks = _inputs.points("target", target)
+    names = _samples.names_for("labels", labels, len(paths), "path")
+    marks = _samples.points("target", target)
     sequence = _is_sequence(paths, names)
     rows = 3 if sequence else len(paths) + 3
     with drawing(ax, _plane.size_for(np.concatenate([*paths, marks]), rows, sequence)) as axes:
@@ -133,8 +134,8 @@ def phase(
     Raises: ValueError for a wrong shape, a wrong number of labels, or no finite sample.
     """
     paths = _plane_paths("xs", xs)
-    names = _inputs.names_for("labels", labels, len(paths), "path")
-    marks = _inputs.points("target", target)
+    names = _samples.names_for("labels", labels, len(paths), "path")
+    marks = _samples.points("target", target)
     angles = np.concatenate([*paths, marks])[:, 0]
     with drawing(ax, (COLUMN, 2.8 if _is_sequence(paths, names) else 2.4)) as axes:
         _draw_paths(axes, paths, names, "path", 1)
@@ -149,7 +150,7 @@ def phase(
 
 def _discs(value: Any) -> np.ndarray:
     """Return one disc (3,) or several (n, 3) as (n, 3); none for None or an empty list."""
-    discs = _inputs.points("obstacles", value, 3)
+    discs = _samples.points("obstacles", value, 3)
     if not (np.isfinite(discs).all() and (discs[:, 2] > 0).all()):
         raise ValueError(f"obstacles: finite (x, y) and a positive radius are wanted, got {value}")
     return discs
@@ -157,7 +158,7 @@ def _discs(value: Any) -> np.ndarray:
 
 def _plane_paths(name: str, value: Any) -> list[np.ndarray]:
     """Return the paths of an array or list as arrays (N, 2)."""
-    return [path for group in _inputs.groups(name, value, _PLANE, (2,)) for path in group]
+    return [path for group in _samples.groups(name, value, _PLANE, (2,)) for path in group]
 
 
 def _draw_paths(

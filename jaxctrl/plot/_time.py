@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from . import _inputs, _marks
+from .. import _samples
+from . import _marks
 from ._style import COLUMN, drawing, figure_of
 
 _SPEEDS = "(N,), (trials, N) or a list of these"
@@ -43,9 +44,9 @@ def speed_profiles(
     Returns: the Figure.
     Raises: ValueError for a wrong shape, a wrong number of labels, or no finite sample.
     """
-    groups = _inputs.groups("speeds", speeds, _SPEEDS)
-    names = _inputs.names_for("labels", labels, len(groups), "entry of `speeds`")
-    clocks = _inputs.clocks(ts, groups, "speeds")
+    groups = _samples.groups("speeds", speeds, _SPEEDS)
+    names = _samples.names_for("labels", labels, len(groups), "entry of `speeds`")
+    clocks = _samples.clocks(ts, groups, "speeds")
     with drawing(ax, _size(len(groups))) as axes:
         _marks.draw_over_time(axes, clocks, groups, names)
         axes.set_xlabel("time [s]")
@@ -80,8 +81,8 @@ def controls(
     """
     held = _columns("us", us, "T", "nu")
     steps, nu = held.shape
-    clock = _inputs.times("ts", ts, steps + 1, f"({steps + 1},), one more than `us`")
-    labels = _inputs.names_for("names", names, nu, "control")
+    clock = _samples.times("ts", ts, steps + 1, f"({steps + 1},), one more than `us`")
+    labels = _samples.names_for("names", names, nu, "control")
     if labels is None:
         labels = [f"$u_{{{i + 1}}}$" for i in range(nu)]
     limits = [] if bounds is None else _bounds(bounds, nu)
@@ -125,8 +126,8 @@ def activations(
     Raises: ValueError for a wrong shape, a wrong number of names, or no finite sample.
     """
     values = _columns("activations", activations, "N", "muscles")
-    clock = _inputs.times("ts", ts, len(values), f"({len(values)},), as long as `activations`")
-    labels = _inputs.names_for("names", names, values.shape[1], "muscle")
+    clock = _samples.times("ts", ts, len(values), f"({len(values)},), as long as `activations`")
+    labels = _samples.names_for("names", names, values.shape[1], "muscle")
     with drawing(ax, _size(values.shape[1])) as axes:
         _draw_columns(axes, clock, values, labels, "muscle")
         axes.set_xlabel("time [s]")
@@ -161,9 +162,9 @@ def trajectories(
     """
     columns = _columns("values", values, "N", "n")
     length, count = columns.shape
-    clock = _inputs.times("ts", ts, length, f"({length},), as long as `values`")
-    labels = _inputs.names_for("names", names, count, "column of `values`")
-    goals = None if targets is None else _inputs.one_for_each("targets", targets, count)
+    clock = _samples.times("ts", ts, length, f"({length},), as long as `values`")
+    labels = _samples.names_for("names", names, count, "column of `values`")
+    goals = None if targets is None else _samples.one_for_each("targets", targets, count)
     quantity, part = _QUANTITIES.get(unit, ("value", "component"))
     with drawing(ax, _size(count)) as axes:
         colors = _draw_columns(axes, clock, columns, labels, part)
@@ -187,10 +188,10 @@ def _size(count: int) -> tuple[float, float]:
 def _columns(name: str, value: Any, rows: str, columns: str) -> np.ndarray:
     """Return values over time as (rows, columns); a flat array is one column."""
     wanted = f"({rows},) or ({rows}, {columns})"
-    array = _inputs.numbers(name, value, wanted)
+    array = _samples.samples(name, value, wanted)
     if array.ndim == 1:
         array = array[:, None]
-    return _inputs.shaped(name, array, wanted, (None, None))
+    return _samples.shaped(name, array, (None, None), wanted)
 
 
 def _draw_columns(
@@ -214,8 +215,8 @@ def _bounds(bounds: Any, nu: int) -> list[np.ndarray]:
     except (TypeError, ValueError):
         raise ValueError("bounds: a pair (lower, upper) is wanted") from None
     return [
-        _inputs.one_for_each("bounds[0]", lower, nu),
-        _inputs.one_for_each("bounds[1]", upper, nu),
+        _samples.one_for_each("bounds[0]", lower, nu),
+        _samples.one_for_each("bounds[1]", upper, nu),
     ]
 
 

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from . import _inputs, _marks, _plane
+from .. import _samples
+from . import _marks, _plane
 from ._style import drawing, figure_of
 
 _POINTS = "(n, 2) or a list of these"
@@ -45,7 +46,7 @@ def workspace_map(
     """
     columns, rows = _grid("x", x), _grid("y", y)
     shape = (len(rows), len(columns))
-    array = _inputs.shaped("values", values, f"{shape}, (ny, nx)", shape)
+    array = _samples.shaped("values", values, shape, f"{shape}, (ny, nx)")
     corners = np.array([[line[0], line[-1]] for line in (columns, rows)]).T
     with drawing(ax, _plane.size_for(corners, 3, color_bar=True)) as axes:
         length, scale = _plane.length_unit(axes, corners)
@@ -92,12 +93,12 @@ def points(
     Returns: the Figure.
     Raises: ValueError for a wrong shape, a wrong number of labels or ellipses, or no finite point.
     """
-    groups = _inputs.groups("points", points, _POINTS, (2,))
+    groups = _samples.groups("points", points, _POINTS, (2,))
     for group in groups:
         if len(group) > 1:
-            raise _inputs.wrong_shape("points", group.shape, _POINTS)
-    names = _inputs.names_for("labels", labels, len(groups), "entry of `points`")
-    rings = _inputs.points("targets", targets)
+            raise _samples.wrong_shape("points", group.shape, _POINTS)
+    names = _samples.names_for("labels", labels, len(groups), "entry of `points`")
+    rings = _samples.points("targets", targets)
     rims = _ellipses(ellipses, len(groups))
     boxes = [
         centre + sign * _reach(half, angle) for centre, half, angle in rims for sign in (-1, 1)
@@ -121,7 +122,7 @@ def points(
 
 def _grid(name: str, value: Any) -> np.ndarray:
     """Return the positions of rows or columns (n,), which increase."""
-    line = _inputs.shaped(name, value, "(n,)", (None,))
+    line = _samples.shaped(name, value, (None,), "(n,)")
     if len(line) < 2 or not (np.diff(line) > 0).all():
         raise ValueError(f"{name}: at least two positions are wanted, finite and increasing")
     return line
@@ -148,9 +149,9 @@ def _ellipses(value: Any, count: int) -> list[tuple[np.ndarray, np.ndarray, floa
             centre, half, angle = entry
         except (TypeError, ValueError):
             raise ValueError(f"{name}: a tuple (centre, half_axes, angle) is wanted") from None
-        centre = _inputs.shaped(f"{name}, centre", centre, "(2,)", (2,))
-        half = _inputs.shaped(f"{name}, half_axes", half, "(2,)", (2,))
-        angle = float(_inputs.shaped(f"{name}, angle", angle, "()", ()))
+        centre = _samples.shaped(f"{name}, centre", centre, (2,), "(2,)")
+        half = _samples.shaped(f"{name}, half_axes", half, (2,), "(2,)")
+        angle = float(_samples.shaped(f"{name}, angle", angle, (), "()"))
         if not np.isfinite([*centre, *half]).all() or (half < 0).any():
             raise ValueError(f"{name}: finite numbers and half axes from 0 are wanted, got {entry}")
         found.append((centre, half, angle))

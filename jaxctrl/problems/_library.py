@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 
 from .. import plants, tasks
 from .._cost import FunctionCost, QuadraticCost
+from .._function_plant import FunctionPlant
 from .._integrate import RK4
-from .._plant import FunctionPlant
 from .._problem import Problem
 from .._types import array_leaf
 

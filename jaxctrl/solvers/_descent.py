@@ -27,7 +27,8 @@ from .._solver import Found, Record
 from .._status import Reason, Status
 from .._types import Bounds
 from ..linear._box_lqr import box_lqr
-from ..linear._riccati import Sweep, factorise, lqr
+from ..linear._factorised import factorise
+from ..linear._riccati import Sweep, lqr
 from ._judging import (
     Tolerances,
     converged,

@@ -45,7 +45,7 @@ class Tolerances(eqx.Module):
 
 
 def input_status(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) -> Status:
-    """Return RUNNING, or what forbids to start: bounds that cross, or inputs that are not finite.
+    """Return RUNNING, or what forbids to start: crossing bounds, dt <= 0, inputs not finite.
 
     Arguments: the problem, x0 (nx,) and us (T, nu).
     """
@@ -55,6 +55,7 @@ def input_status(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T 
         crossed = (bounds[0] > bounds[1]).any(axis=1)
         infeasible = Status.of(Reason.INFEASIBLE_BOUNDS, jnp.argmax(crossed))
         status = _status.where(crossed.any(), infeasible, status)
+    status = _status.where(problem.dt > 0, status, Status.of(Reason.INVALID_TIME_STEP))
     # Bounds alone may be infinite.
     plant = eqx.tree_at(
         lambda p: p.control_bounds, problem.plant, None, is_leaf=lambda leaf: leaf is None

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .. import _status
-from .._checks import is_concrete
+from .._checks import check_integer, is_concrete
 from .._controller import AffinePolicy, clip
 from .._cost import step_costs
 from .._linalg import matmul
@@ -18,7 +18,8 @@ from .._problem import Problem
 from .._solution import Solution, last_finite
 from .._solver import AbstractDirectSolver, Record
 from .._status import Reason, Status, first_nonfinite
-from ..linear._riccati import costates, factorise
+from ..linear._factorised import factorise
+from ..linear._riccati import costates
 from ._collocation import Path, collocate, controls
 from ._hamiltonian import Hamiltonian
 from ._judging import cost_scale, input_status, projected_gradient, start_status
@@ -80,15 +81,13 @@ class BoundaryValue(AbstractDirectSolver):
     """
 
     tol: float = eqx.field(static=True, default=1e-4)
-    max_nodes: int = eqx.field(static=True, default=2000)
+    max_nodes: int = eqx.field(
+        static=True, default=2000, converter=lambda value: check_integer("max_nodes", value, 4)
+    )
 
     def __check_init__(self):
         if not (isinstance(self.tol, int | float) and self.tol > 0):
             raise ValueError(f"tol: a number above 0 is wanted, got {self.tol!r}")
-        if isinstance(self.max_nodes, bool) or not isinstance(self.max_nodes, int):
-            raise ValueError(f"max_nodes: an integer is wanted, got {self.max_nodes!r}")
-        if self.max_nodes < 4:
-            raise ValueError(f"max_nodes: at least 4 is wanted, got {self.max_nodes}")
 
     def run(self, problem: Problem, x0: Array, us: Array) -> Solution:
         """Return the solution from x0 (nx,), first guessed from the controls us (T, nu)."""

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import optax
 
+from .._checks import check_integer
 from ._descent import AbstractDescent, DescentState, Point, as_before
 
 
@@ -29,14 +30,12 @@ class LBFGS(AbstractDescent):
     """
 
     _curvature: ClassVar[float] = 0.9
-    memory: int = eqx.field(static=True, default=10)
+    memory: int = eqx.field(
+        static=True, default=10, converter=lambda value: check_integer("memory", value, 1)
+    )
     gradient_tolerance: float | None = eqx.field(static=True, default=None)
     cost_tolerance: float | None = eqx.field(static=True, default=None)
     step_tolerance: float | None = eqx.field(static=True, default=None)
-
-    def __check_init__(self):
-        if isinstance(self.memory, bool) or not isinstance(self.memory, int) or self.memory < 1:
-            raise ValueError(f"memory: an integer >= 1 is wanted, got {self.memory!r}")
 
     def _begin(self, us):
         return optax.scale_by_lbfgs(self.memory).init(us)

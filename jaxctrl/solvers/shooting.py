@@ -16,7 +16,7 @@ from .._types import Bounds, LocalModel
 from ..linear import Sweep
 from ..linear._box_lqr import box_lqr
 from ..linear._engine import find_engine
-from ..linear._riccati import factorise
+from ..linear._factorised import factorise
 from ._judging import (
     Tolerances,
     converged,

@@ -3,30 +3,45 @@
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from .._checks import is_concrete
+from .._checks import check_integer, is_concrete
 from .._plant import AbstractHand, AbstractPlant
 from .._types import array_leaf
 
 STEP = 0.01
 """The time step [s] aimed at when `num_steps` is not given."""
+LONGEST = 100.0
+"""The longest duration of one movement [s]: what is longer can only be milliseconds."""
 
 
-def grid(duration: ArrayLike, num_steps: int | None) -> tuple[int, ArrayLike]:
-    """Return the number of steps and the time step [s]."""
-    if num_steps is None:
-        if not is_concrete(duration):
-            raise ValueError(
-                "num_steps: wanted when `duration` is traced (under jit, grad or vmap), since "
-                "the number of steps is static"
-            )
-        if np.shape(duration) != ():
-            raise ValueError(f"duration: got shape {np.shape(duration)}, wanted ()")
-        seconds = float(np.asarray(duration))  # jnp would trace it, under jit
-        if not 0 < seconds < np.inf:
-            raise ValueError(f"duration: a positive time [s] is wanted, got {duration}")
+def grid(
+    duration: ArrayLike, num_steps: int | None, longest: float = LONGEST
+) -> tuple[int, ArrayLike]:
+    """Return the number of steps and the time step [s].
+
+    Raises ValueError or TypeError naming `duration` or `num_steps`; a known duration above
+    `longest` [s] is refused.
+    """
+    shape = array_leaf(duration, "duration").shape
+    if shape != ():
+        raise ValueError(f"duration: got shape {shape}, wanted ()")
+    concrete = is_concrete(duration)
+    seconds = float(np.asarray(duration)) if concrete else STEP  # jnp would trace it, under jit
+    if not 0 < seconds < np.inf:
+        raise ValueError(f"duration: a positive time [s] is wanted, got {duration}")
+    if seconds > longest:
+        raise ValueError(
+            f"duration: {seconds:g} s, longer than the {longest:g} s that such a movement may "
+            "last; are these seconds, or milliseconds?"
+        )
+    if num_steps is not None:
+        num_steps = check_integer("num_steps", num_steps, 1)
+    elif concrete:
         num_steps = max(1, round(seconds / STEP))
-    elif num_steps < 1:
-        raise ValueError(f"num_steps: at least 1 is wanted, got {num_steps}")
+    else:
+        raise ValueError(
+            "num_steps: wanted when `duration` is traced (under jit, grad or vmap), since "
+            "the number of steps is static"
+        )
     return num_steps, duration / num_steps
 
 
@@ -48,16 +63,3 @@ def check_reach(plant: AbstractHand, name: str, points: Array) -> None:
             f"{name}: {farthest:.4g} m from the origin, but the hand reaches no further than "
             f"{float(np.asarray(longest)):.4g} m; are these metres?"
         )
-
-
-def check_weights(**weights: ArrayLike | None) -> None:
-    """Raise ValueError or TypeError, naming the argument, for a weight known to be negative."""
-    for name, value in weights.items():
-        if value is None:
-            continue
-        try:
-            value = array_leaf(value)
-        except TypeError as error:
-            raise TypeError(f"{name}: {error}") from None
-        if is_concrete(value) and not (np.asarray(value) >= 0).all():
-            raise ValueError(f"{name}: at least 0 is wanted, got {value}")

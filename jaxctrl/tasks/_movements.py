@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import check_array, is_concrete
+from .._checks import check_array, check_integer, check_weights, is_concrete
 from .._cost import AbstractCost, QuadraticCost
 from .._integrate import AbstractIntegrator
 from .._noise import SignalDependentNoise
 from .._plant import AbstractArm, AbstractHand, AbstractPlant
 from .._problem import Problem
 from .._types import as_bounds
-from ._checks import check_hand, check_reach, check_weights, grid
+from ._checks import LONGEST, check_hand, check_reach, grid
 from ._costs import (
     Effort,
     HandPath,
@@ -25,12 +25,22 @@ from ._costs import (
     ViaPoints,
 )
 
+LONG = 1000.0
+"""The longest duration [s] of what is no single movement of a limb."""
+
 
 def _problem(
-    plant, cost: AbstractCost, duration, num_steps, effort, motor_noise, integrator
+    plant,
+    cost: AbstractCost,
+    duration,
+    num_steps,
+    effort,
+    motor_noise,
+    integrator,
+    longest: float = LONGEST,
 ) -> Problem:
-    check_weights(effort=effort, motor_noise=motor_noise)
-    num_steps, dt = grid(duration, num_steps)
+    check_weights(effort=effort, **({} if motor_noise is None else {"motor_noise": motor_noise}))
+    num_steps, dt = grid(duration, num_steps, longest)
     noise = None if motor_noise is None else SignalDependentNoise(motor_noise)
     cost = cost + Effort(effort)
     return Problem(plant, cost, num_steps=num_steps, dt=dt, noise=noise, integrator=integrator)
@@ -55,7 +65,7 @@ def reach(
     Arguments:
         plant: any with a hand: an arm, an arm in a force field.
         target: e* [m], shape (2,).
-        duration: T [s].
+        duration: T [s], at most 100 s, so that milliseconds are noticed.
         num_steps: steps in it; by default as many as make the time step about 10 ms. Static.
         position_weight, velocity_weight: w1 [1/m^2] and w2 [s^2/m^2]; 1 and 0.01 are our choice.
         effort: r, weight of the squared control per second; 1e-4 as in Li (2006), eq. 4.20.
@@ -155,14 +165,14 @@ def swing_up(
 
     Arguments:
         plant: one whose wanted end is x = 0, such as `Pendulum`.
-        duration: T [s]; 4 s is our choice.
+        duration: T [s], at most 1000 s; 4 s is our choice.
         effort: r [1/(control unit^2 s)]; 1e-5 as in the thesis.
         num_steps, motor_noise, integrator: as in `reach`.
 
     Returns: `Problem`. Raises as `reach` does.
     """
     return _problem(
-        plant, QuadraticCost(Qf=1.0), duration, num_steps, effort, motor_noise, integrator
+        plant, QuadraticCost(Qf=1.0), duration, num_steps, effort, motor_noise, integrator, LONG
     )
 
 
@@ -265,14 +275,14 @@ def track(
         path: e*, positions [m] evenly spaced in time from 0 to T, shape (m, 2), m >= 2, linear in
             between; or a function of the time t [s], written in jax.numpy, that returns one, shape
             (2,), and is sampled at the grid points. Start the hand where the path starts.
-        duration: T [s].
+        duration: T [s], at most 1000 s.
         path_weight: w [1/(m^2 s)]; 10 is our choice.
         num_steps, effort, motor_noise, integrator: as in `reach`.
 
     Returns: `Problem`. Raises as `reach` does.
     """
     check_weights(path_weight=path_weight)
-    num_steps, dt = grid(duration, num_steps)
+    num_steps, dt = grid(duration, num_steps, LONG)
     plant = check_hand(plant)
     if isinstance(path, Callable):
         position = path  # may return a list of two
@@ -284,7 +294,7 @@ def track(
     points = check_array("path", path, shape)
     check_reach(plant, "path", points)
     cost = HandPath(points, duration, path_weight, path_weight * dt)
-    return _problem(plant, cost, duration, num_steps, effort, motor_noise, integrator)
+    return _problem(plant, cost, duration, num_steps, effort, motor_noise, integrator, LONG)
 
 
 def limit_joints(
@@ -346,8 +356,7 @@ def centre_out(
 
     Returns: `Problem` with batched arrays. Raises as `reach` does.
     """
-    if n < 1:
-        raise ValueError(f"n: at least one direction is wanted, got {n}")
+    n = check_integer("n", n, 1)
     x0 = check_array("x0", x0, (check_hand(plant).nx,))
     num_steps, dt = grid(duration, reach_arguments.pop("num_steps", None))
     angles = 2 * jnp.pi * jnp.arange(n) / n

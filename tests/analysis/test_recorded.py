@@ -246,7 +246,7 @@ def test_wrong_arguments_are_named(what):
 
 def test_wrong_files_are_refused(tmp_path):
     header = "# comment\ntrial, time, x\n"
-    with pytest.raises(ValueError, match="source: y missing; got trial, time, x"):
+    with pytest.raises(ValueError, match=r"source: .*\.csv .*: y missing; got trial, time, x"):
         load_movements(write(tmp_path, header + "1,0,0\n"))
     header = "trial,time,x,y\n"
     with pytest.raises(ValueError, match="source: x must hold numbers"):
@@ -258,6 +258,26 @@ def test_wrong_files_are_refused(tmp_path):
         load_movements(tmp_path / "none.csv")
     with pytest.raises(TypeError, match="source: got ndarray, wanted a path"):
         load_movements(np.zeros((3, 4)))  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("empty.csv", b"", "is empty"),
+        ("empty.nc", b"", "is empty"),
+        ("comment.csv", b"# nothing\n", "cannot be read as CSV"),
+        ("picture.csv", b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "cannot be read as CSV: 'utf-8'"),
+        ("zeros.csv", bytes(500), "cannot be read as CSV"),
+        ("prose.csv", b"so, it goes\n1,2,3,4\n1,2,3,4,5\n", "cannot be read as CSV"),
+        ("points.csv", b"trial;time;x;y\n1;0;0;0\n", "y missing; .*separated by commas"),
+        ("text.nc", b"hello", "cannot be read as netCDF"),
+    ],
+)
+def test_a_foreign_file_is_named_with_what_to_do(tmp_path, name, content, says):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=f"^source: .*{name} .*{says}") as caught:
+        load_movements(tmp_path / name)
+    assert len(str(caught.value)) < 600
 
 
 def test_times_that_are_no_numbers_are_refused():

@@ -225,7 +225,7 @@ def test_changing_a_task_does_not_compile_again(arm, x0):
             "plant: one with a hand is wanted",
         ),
         (lambda arm: jc.tasks.centre_out(arm, jnp.zeros(3)), ValueError, r"x0: got shape \(3,\)"),
-        (lambda arm: jc.tasks.centre_out(arm, jnp.zeros(4), n=0), ValueError, "n: at least one"),
+        (lambda arm: jc.tasks.centre_out(arm, jnp.zeros(4), n=0), ValueError, "n: at least 1"),
     ],
 )
 def test_misuse_is_named(arm, build, error, match):

@@ -1,4 +1,4 @@
-"""What the plots accept: arrays checked for shape, with NaN wherever a sample is not finite."""
+"""What the analyses and plots accept: arrays of samples, checked for shape and numbers."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,17 +7,19 @@ import numpy as np
 
 
 def numbers(name: str, value: Any, wanted: str) -> np.ndarray:
-    """Return `value` as a new float array in which samples that are not finite are NaN.
-
-    Raises ValueError for ragged, complex or non-numeric input.
-    """
+    """Return `value` as a float array; ValueError for ragged, complex or non-numeric input."""
     try:
         array = np.asarray(value)
         if np.iscomplexobj(array):
             raise TypeError
-        array = array.astype(float)
+        return array.astype(float)
     except (TypeError, ValueError):
         raise ValueError(f"{name}: real numbers of shape {wanted} are wanted") from None
+
+
+def samples(name: str, value: Any, wanted: str) -> np.ndarray:
+    """Return `numbers` as a new array in which samples that are not finite are NaN."""
+    array = numbers(name, value, wanted)
     array[~np.isfinite(array)] = np.nan
     return array
 
@@ -27,23 +29,84 @@ def wrong_shape(name: str, got: tuple[int, ...], wanted: str) -> ValueError:
     return ValueError(f"{name}: shape {got} given, wanted {wanted}")
 
 
-def shaped(name: str, value: Any, wanted: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    """Return `value` as a float array of `shape`, in which None stands for any size from 1."""
-    array = numbers(name, value, wanted)
-    sizes_fit = array.ndim == len(shape) and all(
+def shaped(
+    name: str, value: Any, shape: tuple[int | None, ...], wanted: str, *, batched: bool = False
+) -> np.ndarray:
+    """Return `samples` of a shape, in which None stands for any size from 1.
+
+    With `batched`, any axes may lead. Raises ValueError for another shape, and where no sample at
+    all is finite.
+    """
+    array = samples(name, value, wanted)
+    axes = array.shape[max(array.ndim - len(shape), 0) :]
+    fits = len(axes) == len(shape) and all(
         size == want if want is not None else size > 0
-        for size, want in zip(array.shape, shape, strict=True)
+        for size, want in zip(axes, shape, strict=True)
     )
-    if not sizes_fit:
+    if not fits or not array.size or (not batched and array.ndim > len(shape)):
         raise wrong_shape(name, array.shape, wanted)
     if np.isnan(array).all():
         raise ValueError(f"{name}: no finite sample in shape {array.shape}")
     return array
 
 
+def path(name: str, value: Any, fewest: int) -> np.ndarray:
+    """Return paths (..., N, 2) with N at least `fewest`."""
+    array = shaped(name, value, (None, 2), "(..., N, 2)", batched=True)
+    if array.shape[-2] < fewest:
+        raise ValueError(f"{name}: at least {fewest} samples are wanted, got {array.shape[-2]}")
+    return array
+
+
+def instants(value: Any, fewest: int) -> np.ndarray:
+    """Return `ts` (N,), at least `fewest` of them, finite and increasing."""
+    ts = shaped("ts", value, (None,), "(N,)")
+    if ts.size < fewest:
+        raise ValueError(f"ts: at least {fewest} samples are wanted, got {ts.size}")
+    if not np.isfinite(ts).all() or not (np.diff(ts) > 0).all():
+        raise ValueError("ts: finite times that increase are wanted")
+    return ts
+
+
+def speeds(value: Any, length: int, *, batched: bool = True) -> np.ndarray:
+    """Return `speed` (..., length); ValueError where one is negative or a record is all zero."""
+    wanted = f"(..., {length})" if batched else f"({length},)"
+    speed = shaped("speed", value, (length,), f"{wanted}, as long as `ts`", batched=batched)
+    if (speed < 0).any():
+        raise ValueError(f"speed: at least 0 is wanted, got {np.nanmin(speed)}")
+    if (speed == 0).all(axis=-1).any():
+        raise ValueError("speed: a movement is wanted, got zero everywhere")
+    return speed
+
+
+def fraction(name: str, value: float, *, below: float = 1.0) -> float:
+    """Return `value` where it lies in [0, below); ValueError elsewhere, NaN included."""
+    if not 0 <= value < below:
+        raise ValueError(f"{name}: a fraction from 0 to below {below:g} is wanted, got {value}")
+    return float(value)
+
+
+def positive(name: str, value: Any, wanted: str) -> np.ndarray:
+    """Return `value` as a float array in which every number is finite and above 0."""
+    array = numbers(name, value, wanted)
+    if not array.size or not np.isfinite(array).all() or not (array > 0).all():
+        raise ValueError(f"{name}: finite numbers above 0 are wanted, got {value}")
+    return array
+
+
+def all_finite(name: str, array: np.ndarray) -> np.ndarray:
+    """Return `array`, or raise ValueError where a sample is not finite."""
+    if not np.isfinite(array).all():
+        raise ValueError(
+            f"{name}: finite numbers are wanted; leave out or fill the gaps first "
+            "(`analysis.trials` leaves out what lies after the end of a loaded trial)"
+        )
+    return array
+
+
 def times(name: str, value: Any, length: int | None = None, wanted: str = "(N,)") -> np.ndarray:
     """Return instants [s] as a float array (length,); every one must be finite."""
-    array = shaped(name, value, wanted, (length,))
+    array = shaped(name, value, (length,), wanted)
     if np.isnan(array).any():
         raise ValueError(f"{name}: every time must be finite")
     return array
@@ -57,7 +120,7 @@ def points(name: str, value: Any, columns: int = 2) -> np.ndarray:
     if value is None or np.size(value) == 0:
         return np.zeros((0, columns))
     wanted = f"({columns},) or (n, {columns})"
-    array = numbers(name, value, wanted)
+    array = samples(name, value, wanted)
     if array.ndim not in (1, 2) or array.shape[-1] != columns:
         raise wrong_shape(name, array.shape, wanted)
     if np.isnan(array).all():
@@ -68,7 +131,7 @@ def points(name: str, value: Any, columns: int = 2) -> np.ndarray:
 def one_for_each(name: str, value: Any, count: int) -> np.ndarray:
     """Return a number or (count,) as (count,)."""
     wanted = f"() or ({count},)"
-    array = numbers(name, value, wanted)
+    array = samples(name, value, wanted)
     if array.shape not in ((), (count,)):
         raise wrong_shape(name, array.shape, wanted)
     return np.broadcast_to(array, (count,))
@@ -84,7 +147,7 @@ def groups(name: str, value: Any, wanted: str, point: tuple[int, ...] = ()) -> l
     entries, labels = [value], [name]
     if isinstance(value, list | tuple) and value:
         labels = [f"{name}[{i}]" for i in range(len(value))]
-        if numbers(labels[0], value[0], wanted).ndim > len(point):
+        if samples(labels[0], value[0], wanted).ndim > len(point):
             entries = list(value)
         else:
             labels = [name]
@@ -98,7 +161,7 @@ def groups(name: str, value: Any, wanted: str, point: tuple[int, ...] = ()) -> l
 
 def _group(name: str, value: Any, wanted: str, point: tuple[int, ...]) -> np.ndarray:
     """Return one group (trials, N, *point)."""
-    array = numbers(name, value, wanted)
+    array = samples(name, value, wanted)
     curve = 1 + len(point)
     tail_fits = array.shape[array.ndim - len(point) :] == point
     if array.ndim not in (curve, curve + 1) or not tail_fits or not array.size:
@@ -132,11 +195,3 @@ def names_for(
             f"{argument}: {len(names)} given, wanted {count}, one for each {thing}{hint}"
         )
     return names
-
-
-def mean_of(group: np.ndarray) -> np.ndarray:
-    """Return the mean over the trials of a group, sample by sample, over the finite ones."""
-    finite = np.isfinite(group)
-    count = finite.sum(axis=0)
-    total = np.where(finite, group, 0.0).sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

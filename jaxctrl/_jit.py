@@ -43,7 +43,7 @@ def jit(function: Callable) -> Callable:
         with own_rules():
             return compiled(_Seen(read_classes(args)), *args)
 
-    call._cached = compiled._cached  # pyright: ignore[reportFunctionMemberAccess]
+    call._cached = compiled._cached  # pyright: ignore[reportAttributeAccessIssue, reportFunctionMemberAccess]
     return call
 
 

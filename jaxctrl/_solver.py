@@ -4,7 +4,7 @@ import abc
 from typing import Any, NamedTuple
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ._problem import Problem
 from ._status import Status
@@ -62,7 +62,7 @@ class AbstractSolver(eqx.Module):
         """Return the state at the start, from x0 (nx,) under the controls us (T, nu)."""
 
     @abc.abstractmethod
-    def step(self, problem: Problem, state: Any, last: Bool[Array, ""]) -> Any:
+    def step(self, problem: Problem, state: Any, last: Bool[ArrayLike, ""] = False) -> Any:
         """Return the state after one iteration; the first one measures the start.
 
         With `last` the iteration has ended: no step is taken, but the gains are made final.

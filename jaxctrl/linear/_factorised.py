@@ -1,4 +1,4 @@
-"""A linear-quadratic problem in free controls: factorised once, then solved for any linear terms."""
+"""A linear-quadratic problem in free controls: factorised once, solved for any linear terms."""
 
 from typing import NamedTuple
 

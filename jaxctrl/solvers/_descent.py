@@ -358,7 +358,7 @@ class AbstractDescent(AbstractMinimiser):
             status=input_status(problem, x0, us),
         )
 
-    def step(self, problem, state, last):
+    def step(self, problem, state, last=False):
         """Search along a direction and judge where it led; arrays keep their shapes."""
         return step(problem, state, self)
 

@@ -62,7 +62,7 @@ def search(
         enough = (fall >= 0) & (fall >= SUFFICIENT * expected)
         enough |= (expected <= round_off) & (fall >= -round_off)
         finite = jnp.isfinite(cost) & jnp.isfinite(xs).all()
-        accepted = forced | (finite & enough & (expected > 0))
+        accepted = jnp.asarray(forced) | (finite & enough & (expected > 0))
         return Trial(xs, us, cost, fraction, accepted)
 
     def one_by_one():

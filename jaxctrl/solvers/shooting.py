@@ -293,9 +293,9 @@ class AbstractShooting(AbstractMinimiser):
         """Return the state before anything was computed, from us (T, nu) and x0 (nx,)."""
         return init(problem, x0, us)
 
-    def step(self, problem, state, last):
+    def step(self, problem, state, last=False):
         """Search along the law, then expand and sweep anew; arrays keep their shapes."""
-        return step(problem, state, last, self)
+        return step(problem, state, jnp.asarray(last), self)
 
     def record(self, state):
         """Return cost, projected gradient, accepted fraction and lambda, each of shape ()."""

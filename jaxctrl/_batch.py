@@ -64,7 +64,7 @@ def solve_batch(
     for i, (name, value, rank) in enumerate((("x0s", x0s, 1), ("uss", uss, 2)), start=1):
         if value is None:
             continue
-        if isinstance(value, AffinePolicy):
+        if rank == 2 and isinstance(value, AffinePolicy):
             batch = value.us.ndim == 3
             (lanes if batch else fixed)[i] = value
             sizes |= {name: len(value.us)} if batch else {}

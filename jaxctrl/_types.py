@@ -11,10 +11,11 @@ Bounds = tuple[Array, Array]
 
 
 def array_leaf(value: ArrayLike) -> Array:
-    """Return `value` as a floating array, so that it is a leaf with a gradient.
+    """Return `value` (any shape) as a floating array of that shape: a leaf that has a gradient.
 
-    Python numbers and integers take JAX's default float type of the moment; floating arrays keep
-    theirs. Raises TypeError for complex or non-numeric values.
+    A number of your own plant or cost becomes one by `eqx.field(converter=jc.array_leaf)`. Python
+    numbers and integers take JAX's default float type of the moment; floating arrays keep theirs.
+    Raises TypeError for complex or non-numeric values.
     """
     array = jnp.asarray(value)
     if jnp.issubdtype(array.dtype, jnp.floating):

@@ -190,13 +190,21 @@ def bench(
 ) -> int:
     """Time the solvers: suites thesis, peers, scaling, problems, or all of them.
 
-    With --against, exits with 1 when something is slower than in the saved run.
+    Other programs (peers) are timed from a checkout of the repository alone, whose folder
+    benchmarks/ has them. With --against, exits with 1 when something is slower than in the saved
+    run.
     """
     for name in suites:
         _check_word("suite", name, benchmarks.SUITES)
-    from .bench import _files, _run
+    from .bench import _files, _peers, _run
 
     chosen = [name for name in benchmarks.SUITES if name in suites or not suites]
+    if not suites and not peers:
+        try:
+            _peers.folder()
+        except _peers.Absent as error:
+            chosen.remove("peers")
+            say(f"left out peers: {error}", err=True)
     with _terminable():
         try:
             return _run.run(
@@ -208,7 +216,7 @@ def bench(
                 report=lambda text: say(text, err=True),
                 show=say,
             )
-        except _files.FileError as error:
+        except (_files.FileError, _peers.Absent) as error:
             raise _Unusable(str(error)) from error
 
 

@@ -15,6 +15,7 @@ import jaxctrl
 
 ROOT = Path(jaxctrl.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
+PEERS = sorted((ROOT.parent / "benchmarks").rglob("*.py"))
 
 # Imports point strictly down, from a higher number to a lower one, or stay within a folder.
 FLOORS = {
@@ -25,6 +26,7 @@ FLOORS = {
     "_checks": 0,
     "_cpu": 0,
     "_jacobian": 0,
+    "stopwatch": 0,
     "_plant": 1,
     "_cost": 1,
     "_noise": 1,
@@ -54,7 +56,7 @@ FLOORS = {
 }
 # On one floor, a file may import one that comes earlier here.
 WITHIN = {
-    0: ["_version", "_types", "_status", "_linalg", "_checks", "_cpu", "_jacobian"],
+    0: ["_version", "_types", "_status", "_linalg", "_checks", "_cpu", "_jacobian", "stopwatch"],
     1: ["_plant", "_cost", "_noise", "_integrate", "_controller"],
     3: ["_simulate", "_local_model", "plants", "tasks"],
     4: ["_solver", "_solution", "_adjoint", "_solve", "_batch"],
@@ -124,7 +126,7 @@ def test_solvers_import_in_one_direction():
                 assert SOLVERS.index(other) < SOLVERS.index(name), f"{name} imports {other}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+@pytest.mark.parametrize("path", FILES + PEERS, ids=lambda p: str(p.relative_to(ROOT.parent)))
 def test_files_and_functions_stay_small(path):
     text = path.read_text()
     assert text.count("\n") <= 400, "a file over 400 lines wants to be two"
@@ -204,7 +206,8 @@ def test_classes_are_abstract_or_final():
 
 def public():
     found = {}
-    for module in (jaxctrl, *(getattr(jaxctrl, name) for name in jaxctrl._MODULES)):
+    own = [value for name in dir(jaxctrl) if inspect.ismodule(value := getattr(jaxctrl, name))]
+    for module in (jaxctrl, *own):
         names = getattr(module, "__all__", None) or [n for n in vars(module) if n[0] != "_"]
         for name in names:
             value = getattr(module, name)
@@ -231,7 +234,13 @@ def test_public_names_are_documented_with_shapes(name):
 
 
 def test_table_of_contents_is_complete():
-    for name in jaxctrl.__all__:
+    stub = ast.parse((ROOT / "__init__.pyi").read_text())
+    listed = [alias.asname for node in stub.body for alias in getattr(node, "names", ())]
+    assert sorted(listed) == dir(jaxctrl) == jaxctrl.__all__, "each name is listed once"
+    assert [name for name in listed if name.startswith("_")] == ["__version__"]
+    for name in listed:
         assert getattr(jaxctrl, name) is not None
+    rooms = {path.parent.name for path in ROOT.glob("*/__init__.py")}
+    assert rooms - set(listed) == {"bench", "solvers"}, "a folder is public, or said not to be"
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         getattr(jaxctrl, "non" + "sense")

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from .. import experiments
-from ._stopwatch import Taken, timing
+from ..stopwatch import Taken
+from ._timing import timing
 from ._worker import Emitter
 
 TABLE = "table-4.1"

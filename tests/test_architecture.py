@@ -126,6 +126,37 @@ def test_solvers_import_in_one_direction():
                 assert SOLVERS.index(other) < SOLVERS.index(name), f"{name} imports {other}"
 
 
+def chains(tree, root):
+    """Yield the names after `root` in what is written root.a.b, as (a, b)."""
+    inner = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and id(node) not in inner:
+            names = []
+            while isinstance(node, ast.Attribute):
+                names, node = [node.attr, *names], node.value
+            if getattr(node, "id", "") == root:
+                yield tuple(names)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "experiments").glob("*.py")), ids=lambda p: p.stem)
+def test_experiments_use_the_public_door_alone(path):
+    """What they need a user can have: `jc.` and public names, or what lies in their own folder."""
+    tree = ast.parse(path.read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level <= 1, f"line {node.lineno} goes behind the public door"
+            if not node.level and node.module.split(".")[0] == "jaxctrl":
+                assert ast.unparse(node) == "from jaxctrl import __version__"
+        elif isinstance(node, ast.Import):
+            names = [name for name in node.names if name.name.split(".")[0] == "jaxctrl"]
+            assert all((name.name, name.asname) == ("jaxctrl", "jc") for name in names)
+    for names in chains(tree, "jc"):
+        assert names[0] in dir(jaxctrl), f"jc.{names[0]} is no public name"
+        room = getattr(jaxctrl, names[0])
+        if inspect.ismodule(room):
+            assert hasattr(room, names[1]) and not names[1].startswith("_"), names
+
+
 @pytest.mark.parametrize("path", FILES + PEERS, ids=lambda p: str(p.relative_to(ROOT.parent)))
 def test_files_and_functions_stay_small(path):
     text = path.read_text()

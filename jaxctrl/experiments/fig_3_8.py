@@ -10,20 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from .. import analysis
-from ..plants import MuscleArm
+import jaxctrl as jc
+
 from ._planned import (
     Movement,
+    MovementConfig,
     dataset,
     draw,
     failures,
     least_jerk,
-    named,
     passed,
     plan,
     profiles,
 )
-from ._result import Claim, Result
+from ._result import Claim, Result, named
 
 START, TARGET = np.array([-0.2, 0.42]), np.array([0.2, 0.42])
 DRAWN = (0.45, 0.52, 0.58)
@@ -32,20 +32,10 @@ FIGURES = {"torque change": "3.8", "energy": "3.9"}
 
 
 @dataclass(frozen=True)
-class Config:
-    """Settings: duration, passing time [s], steps, random starts, iterations, seed."""
+class Config(MovementConfig):
+    """Settings: those of a movement, and the time [s] at which the via-point is passed."""
 
-    duration: float = 0.5
     passing: float = 0.25
-    num_steps: int = 50
-    restarts: int = 2
-    max_steps: int = 600
-    seed: int = 0
-
-    @classmethod
-    def quick(cls) -> "Config":
-        """Return settings with one random start instead of two."""
-        return cls(restarts=1)
 
 
 def run(config: Config) -> Result:
@@ -53,7 +43,7 @@ def run(config: Config) -> Result:
     heights = DRAWN + FURTHER
     movements = [Movement(START, TARGET, np.array([0.0, y]), config.passing) for y in heights]
     labels = ["P0", "P1", "P2", *(f"y = {y} m" for y in FURTHER)]
-    planned = plan(MuscleArm(), movements, config)
+    planned = plan(jc.plants.MuscleArm(), movements, config)
     data = dataset(planned, labels, movements, config)
     jerk = [least_jerk(movement, data.time.values).velocity for movement in movements]
     speed = np.linalg.norm(jerk, axis=-1)
@@ -69,7 +59,7 @@ def figure(result: Result) -> Figure:
 def claims(result: Result) -> list[Claim]:
     """Compare with what the thesis says of these figures."""
     found, ts = [], result.data.time.values
-    jerk = [analysis.speed_peaks(ts, speed) for speed in result.data.jerk.values]
+    jerk = [jc.analysis.speed_peaks(ts, speed) for speed in result.data.jerk.values]
     for model, number in FIGURES.items():
         source, speeds = f"Li (2006), fig. {number}", profiles(result.data, model)
         found += [
@@ -80,7 +70,7 @@ def claims(result: Result) -> list[Claim]:
     return found
 
 
-Profiles = list[analysis.SpeedProfile]
+Profiles = list[jc.analysis.SpeedProfile]
 
 
 def _counts(model: str, source: str, speeds: Profiles, jerk: Profiles) -> Claim:

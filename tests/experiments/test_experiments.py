@@ -8,22 +8,19 @@ import numpy as np
 import pytest
 
 from jaxctrl import experiments
-from jaxctrl.experiments._result import Claim, Result
+from jaxctrl.experiments import Claim, Result
 
-# What compiles long: like another one, or tested in parts elsewhere.
-SLOW = {
-    "fig-3.4", "fig-3.6", "fig-3.8", "fig-3.10", "two-thirds", "curvature-map", "fig-4.3",
-    "table-4.1",
-}  # fmt: skip
+# Claims that do not hold, in so small a run: whichever else fails, or holds of these, is news.
+FAILING = {}
+# Claims about times, which may go either way on a busy machine: test_chapter_4.py judges them by
+# made-up times.
+TIMED = {
+    "fig-4.3": {"At equal time"},
+    "table-4.1": {"ILQR is the fastest"},
+}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
-        for name in experiments.names()
-    ],
-)
+@pytest.mark.parametrize("name", experiments.names())
 def test_quick_run_converges_draws_and_claims(name):
     module = experiments.load(name)
     config = module.Config.quick()
@@ -41,8 +38,21 @@ def test_quick_run_converges_draws_and_claims(name):
             assert np.isfinite(variable).all(), variable.name
     labelled = [a for a in figure.axes if a.axison]
     assert any(axes.get_xlabel() for axes in labelled) and any(a.get_ylabel() for a in labelled)
-    claims = module.claims(result)
+    plt.close(figure)
+    judge(name, module.claims(result))
+
+
+def judge(name, claims):
+    """Check that exactly the claims fail that are known to, each with a note that says why."""
     assert claims and all(isinstance(claim, Claim) for claim in claims)
+    statements = [claim.statement for claim in claims]
+    assert len(set(statements)) == len(statements)
+    timed = tuple(TIMED.get(name, ()))
+    judged = [claim for claim in claims if not (timed and claim.statement.startswith(timed))]
+    assert {claim.statement for claim in judged if not claim.holds} == FAILING.get(name, set())
     for claim in claims:
         assert claim.holds or claim.note, claim.statement
-    plt.close(figure)
+
+
+def test_the_list_of_failing_claims_is_of_experiments_that_there_are():
+    assert {*FAILING, *TIMED} <= set(experiments.names())

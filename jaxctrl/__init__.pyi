@@ -32,13 +32,13 @@ from ._cost import (
     SumCost as SumCost,
 )
 from ._cpu import enable_fast_cpu as enable_fast_cpu
+from ._expand import expand as expand
 from ._integrate import (
     RK4 as RK4,
     AbstractIntegrator as AbstractIntegrator,
     Euler as Euler,
     NextState as NextState,
 )
-from ._local_model import expand as expand
 from ._noise import (
     AbstractNoise as AbstractNoise,
     AdditiveNoise as AdditiveNoise,

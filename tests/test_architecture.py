@@ -36,6 +36,7 @@ FLOORS = {
     "_problem": 2,
     "_simulate": 3,
     "_local_model": 3,
+    "_expand": 3,
     "plants": 3,
     "tasks": 3,
     "plot": 3,
@@ -58,7 +59,7 @@ FLOORS = {
 WITHIN = {
     0: ["_version", "_types", "_status", "_linalg", "_checks", "_cpu", "_jacobian", "stopwatch"],
     1: ["_plant", "_cost", "_noise", "_integrate", "_controller"],
-    3: ["_simulate", "_local_model", "plants", "tasks"],
+    3: ["_simulate", "_local_model", "_expand", "plants", "tasks"],
     4: ["_solver", "_solution", "_adjoint", "_solve", "_batch"],
     5: ["solvers", "_check_gradients", "problems"],
     7: ["experiments", "bench"],

@@ -86,6 +86,25 @@ def iterate(case: Case, solver: jc.AbstractSolver, us, limit, after: Callable[[A
     return solver.record(state).cost, count - 1
 
 
+@eqx.filter_jit
+def paths_of(case: Case, uss: jax.Array, shown: tuple[int, ...]) -> jax.Array:
+    """Return the joint angles of an arm in some iterations of ILQR, (shown, start, time, joint).
+
+    Iteration 0 is the first step from the controls of each start, uss (start, T, nu).
+    """
+    problem, solver = case.problem, jc.ILQR()
+
+    def each(us):
+        def body(state, _):
+            state = solver.step(problem, state)
+            return state, state.xs[:, :2]
+
+        state = solver.init(problem, case.x0, us)
+        return jax.lax.scan(body, state, length=max(shown) + 1)[1][jnp.array(shown)]
+
+    return jnp.moveaxis(jax.lax.map(each, uss), 0, 1)
+
+
 def timed(case: Case, solver: jc.AbstractSolver) -> Callable[..., tuple[jax.Array, jax.Array]]:
     """Return a function of (us, limit, count), for `in_turns`: solve `count` times, to iterate
     `limit`, in one compiled call.

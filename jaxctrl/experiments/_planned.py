@@ -35,7 +35,8 @@ class MovementConfig:
     """Settings of a planned movement: duration [s] and number of time steps.
 
     `restarts` random starts of each movement, besides those that are always tried; at most
-    `max_steps` iterations from each; the `seed` of the random starts.
+    `max_steps` iterations from each; the `seed` of the random starts. A figure adds what else it
+    needs.
     """
 
     duration: float = 0.5
@@ -43,11 +44,6 @@ class MovementConfig:
     restarts: int = 2
     max_steps: int = 600
     seed: int = 0
-
-    @classmethod
-    def quick(cls):
-        """Return settings without random starts and with fewer time steps."""
-        return cls(num_steps=20, restarts=0)
 
 
 class Movement(NamedTuple):

@@ -38,8 +38,8 @@ class Config:
 
     @classmethod
     def quick(cls) -> "Config":
-        """Return settings with fewer trials and a coarser time step."""
-        return cls(num_steps=25, trials=2)
+        """Return settings with fewer trials."""
+        return cls(trials=2)
 
 
 def _reach(arm: jc.AbstractArm, x0, config: Config):

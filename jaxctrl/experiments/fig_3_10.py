@@ -6,6 +6,8 @@ speed's valley goes with the height of the curvature's peak. The thesis prints n
 are our choice.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import xarray
 from matplotlib.figure import Figure
@@ -31,12 +33,27 @@ FURTHER = (0.2, 0.22, 0.235, 0.265, 0.28, 0.3)
 FIGURES = {"torque change": "3.10", "energy": "3.11"}
 
 
-Config = MovementConfig
+@dataclass(frozen=True)
+class Config(MovementConfig):
+    """Settings: those of a movement, and how many `further` passing times are tried than are
+    drawn, 6 at most.
+    """
+
+    further: int = len(FURTHER)
+
+    @classmethod
+    def quick(cls) -> "Config":
+        """Return settings for fewer and slower movements, coarser and without random starts."""
+        return cls(duration=0.6, num_steps=25, restarts=0, further=1)
+
+    def __post_init__(self):
+        if not 0 <= self.further <= len(FURTHER):
+            raise ValueError(f"further: 0 to {len(FURTHER)} are wanted, got {self.further}")
 
 
 def run(config: Config) -> Result:
     """Plan a movement for each passing time under both models."""
-    times = DRAWN + FURTHER
+    times = DRAWN + FURTHER[: config.further]
     movements = [Movement(START, TARGET, POINT, time) for time in times]
     labels = [f"{1e3 * time:.0f} ms" for time in times]
     planned = plan(jc.plants.MuscleArm(), movements, config)

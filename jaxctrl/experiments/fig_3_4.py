@@ -6,6 +6,8 @@ straight, is drawn for comparison; the same movements of the torque-driven arm t
 are the muscles'.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import xarray
 from matplotlib.figure import Figure
@@ -21,7 +23,14 @@ FROM_TO = [pair for i, j in PAIRS for pair in ((i, j), (j, i))]
 FIGURES = {"torque change": "3.4", "energy": "3.5"}
 
 
-Config = MovementConfig
+@dataclass(frozen=True)
+class Config(MovementConfig):
+    """Settings: those of every planned movement."""
+
+    @classmethod
+    def quick(cls) -> "Config":
+        """Return settings with fewer time steps and without random starts."""
+        return cls(num_steps=25, restarts=0)
 
 
 def run(config: Config) -> Result:

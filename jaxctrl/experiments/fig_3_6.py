@@ -36,6 +36,11 @@ class Config(MovementConfig):
 
     passing: float = 0.25
 
+    @classmethod
+    def quick(cls) -> "Config":
+        """Return settings with fewer time steps and without random starts."""
+        return cls(num_steps=25, restarts=0)
+
 
 def run(config: Config) -> Result:
     """Plan both movements under both models."""

@@ -33,16 +33,28 @@ FIGURES = {"torque change": "3.8", "energy": "3.9"}
 
 @dataclass(frozen=True)
 class Config(MovementConfig):
-    """Settings: those of a movement, and the time [s] at which the via-point is passed."""
+    """Settings: those of a movement, the time [s] at which the via-point is passed, and how many
+    `further` via-points are tried than are drawn, 5 at most.
+    """
 
     passing: float = 0.25
+    further: int = len(FURTHER)
+
+    @classmethod
+    def quick(cls) -> "Config":
+        """Return settings for fewer and slower movements, coarser and without random starts."""
+        return cls(duration=0.6, num_steps=25, restarts=0, further=1)
+
+    def __post_init__(self):
+        if not 0 <= self.further <= len(FURTHER):
+            raise ValueError(f"further: 0 to {len(FURTHER)} are wanted, got {self.further}")
 
 
 def run(config: Config) -> Result:
     """Plan the movements under both models."""
-    heights = DRAWN + FURTHER
+    heights = DRAWN + FURTHER[: config.further]
     movements = [Movement(START, TARGET, np.array([0.0, y]), config.passing) for y in heights]
-    labels = ["P0", "P1", "P2", *(f"y = {y} m" for y in FURTHER)]
+    labels = ["P0", "P1", "P2", *(f"y = {y} m" for y in heights[len(DRAWN) :])]
     planned = plan(jc.plants.MuscleArm(), movements, config)
     data = dataset(planned, labels, movements, config)
     jerk = [least_jerk(movement, data.time.values).velocity for movement in movements]
@@ -65,7 +77,7 @@ def claims(result: Result) -> list[Claim]:
         found += [
             passed(result.data, model, source),
             _counts(model, source, speeds, jerk),
-            *_with_distance(model, source, speeds, jerk),
+            *_with_distance(model, source, speeds, jerk, result.data.point.values[:, 1] - START[1]),
         ]
     return found
 
@@ -88,9 +100,10 @@ def _counts(model: str, source: str, speeds: Profiles, jerk: Profiles) -> Claim:
     )
 
 
-def _with_distance(model: str, source: str, speeds: Profiles, jerk: Profiles) -> list[Claim]:
+def _with_distance(
+    model: str, source: str, speeds: Profiles, jerk: Profiles, aside: np.ndarray
+) -> list[Claim]:
     """Judge how the second peak appears and the valley deepens with the distance."""
-    aside = np.array(DRAWN + FURTHER) - START[1]
     order = np.argsort(aside)
     double, jerky = (
         np.array([len(those[i].peak_times) > 1 for i in order]) for those in (speeds, jerk)

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 import jaxctrl as jc
 
+from ._chapter_4 import Case, paths_of
 from ._result import Claim, Result
 
 TARGET = np.array([1.0, 1.5])
@@ -40,27 +41,23 @@ class Config:
 
 
 def run(config: Config) -> Result:
-    """Iterate by hand through the solver's own steps, keeping each path."""
-    arm, solver = jc.plants.MuscleArm(), jc.ILQR()
+    """Solve, and keep the path of each of the first iterations."""
+    arm = jc.plants.MuscleArm()
     problem = jc.tasks.posture(
         arm, TARGET, config.duration, num_steps=config.num_steps, effort=config.effort
     )
     x0 = arm.at_rest(*START)
     levels = config.amplitude * jax.random.uniform(jax.random.key(config.seed), (arm.nu,))
     us = jnp.broadcast_to(levels, (config.num_steps, arm.nu))
-    solution = jc.solve(problem, solver, x0, us)
-    step = jax.jit(lambda state: solver.step(problem, state))
-    state, paths = solver.init(problem, x0, us), []
-    for _ in range(SHOWN):
-        state = step(state)
-        paths.append(np.asarray(state.xs[:, :2]))
+    solution = jc.solve(problem, jc.ILQR(), x0, us)
+    paths = paths_of(Case(problem, x0), us[None], tuple(range(SHOWN)))[:, 0]
     count = int(solution.num_steps) + 1
     failure = "" if bool(solution.status.ok) else solution.status.message
     data = xarray.Dataset(
         {
             "angles": (
                 ("iteration", "time", "joint"),
-                np.stack(paths),
+                np.asarray(paths),
                 {"long_name": "joint angle", "units": "rad"},
             ),
             "final": (

@@ -11,8 +11,6 @@ lie close together: with muscles they do, and two tolerances are shown, 1e-2 and
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray
@@ -22,7 +20,7 @@ from scipy.stats import binomtest
 
 import jaxctrl as jc
 
-from ._chapter_4 import START, TARGET, Case, arm_case, random_controls
+from ._chapter_4 import START, TARGET, Case, arm_case, paths_of, random_controls, timed
 from ._result import Claim, Result, named
 
 AMPLITUDES = {"torque": (0.1, 0.3, 1.0, 3.0, 5.0, 10.0), "muscle": (0.03, 0.1, 0.3, 0.5, 0.7, 1.0)}
@@ -109,38 +107,22 @@ def run(config: Config) -> Result:
 
 
 def _cloud(case: Case, amplitudes: tuple[float, ...], config: Config) -> _Cloud:
-    def solved(us, solver: jc.AbstractSolver) -> jc.Solution:
-        return jc.solve_batch(case.problem, solver, case.x0, us, max_steps=config.max_steps)
-
     starts = [
         jnp.asarray(random_controls(case, config.starts, amplitude, config.seed))
         for amplitude in amplitudes
     ]
-    found = [solved(us, jc.ILQR()) for us in starts]
+    found = [
+        jc.solve_batch(case.problem, jc.ILQR(), case.x0, us, max_steps=config.max_steps)
+        for us in starts
+    ]
     cost = np.stack([np.asarray(each.cost) for each in found])
     ok = np.stack([np.asarray(each.status.ok) for each in found])
     level, lane = np.unravel_index(np.argmin(np.where(ok, cost, np.inf)), cost.shape)
-    polished = solved(found[level].us[lane][None], jc.DDP())
-    best = float(min(cost[level, lane], polished.cost[0]))
+    polished, _ = timed(case, jc.DDP())(found[level].us[lane], config.max_steps, 1)
+    best = float(min(cost[level, lane], polished))
     ends = [np.asarray(each.xs)[None, ..., :2] for each in (found[REFERENCE], found[-1])]
-    paths = np.concatenate([np.asarray(_paths(case, starts[REFERENCE])), *ends])
+    paths = np.concatenate([np.asarray(paths_of(case, starts[REFERENCE], SHOWN)), *ends])
     return _Cloud(cost, ok, paths, best)
-
-
-@eqx.filter_jit
-def _paths(case: Case, uss: jax.Array) -> jax.Array:
-    """Return the joint angles of the iterations to be shown, (shown, start, time, joint)."""
-    problem, solver = case.problem, jc.ILQR()
-
-    def each(us):
-        def body(state, _):
-            state = solver.step(problem, state)
-            return state, state.xs[:, :2]
-
-        state = solver.init(problem, case.x0, us)
-        return jax.lax.scan(body, state, length=max(SHOWN) + 1)[1][jnp.array(SHOWN)]
-
-    return jnp.moveaxis(jax.lax.map(each, uss), 0, 1)
 
 
 def _fractions(data: xarray.Dataset, near: float) -> tuple[np.ndarray, np.ndarray]:

@@ -69,8 +69,8 @@ class Config:
 
     @classmethod
     def quick(cls) -> "Config":
-        """Return settings for the pendulum alone, with a coarser time step and less patience."""
-        return cls("pendulum", pendulum_steps=100, max_steps=200, starts=2, repeats=2)
+        """Return settings for the pendulum alone, coarser, less patient and without a search."""
+        return cls("pendulum", pendulum_steps=100, max_steps=200, starts=0, repeats=2)
 
     def __post_init__(self):
         unknown = [name for name in self.names if name not in PROBLEMS]

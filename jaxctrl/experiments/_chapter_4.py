@@ -78,7 +78,7 @@ def iterate(case: Case, solver: jc.AbstractSolver, us, limit, after: Callable[[A
 
     def body(carry):
         state, count = carry
-        state = solver.step(case.problem, state)
+        state = solver.step(case.problem, state, jnp.array(False))
         return state if after is None else after(state), count + 1
 
     start = (solver.init(case.problem, case.x0, us), jnp.array(0))
@@ -96,8 +96,8 @@ def paths_of(case: Case, uss: jax.Array, shown: tuple[int, ...]) -> jax.Array:
 
     def each(us):
         def body(state, _):
-            state = solver.step(problem, state)
-            return state, state.xs[:, :2]
+            state = solver.step(problem, state, jnp.array(False))
+            return state, solver.found(problem, state).xs[:, :2]
 
         state = solver.init(problem, case.x0, us)
         return jax.lax.scan(body, state, length=max(shown) + 1)[1][jnp.array(shown)]

@@ -22,10 +22,10 @@ lint: .venv/installed
 
 test: lint
 	JAX_COMPILATION_CACHE_DIR=$(CACHE)/jax JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.5 \
-		$(BIN)/pytest -n $(WORKERS) --dist worksteal -m 'not slow'
+		$(BIN)/pytest -n $(WORKERS) --dist loadfile -m 'not slow'
 
-test-all: lint
-	$(BIN)/pytest -n $(WORKERS) --dist worksteal
+test-all: lint  ## Also the long reproductions, all of it as XLA compiles by default.
+	XLA_FLAGS= $(BIN)/pytest -n $(WORKERS) --dist loadfile
 
 bench: .venv/installed
 	$(BIN)/jaxctrl bench

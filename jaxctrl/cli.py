@@ -100,21 +100,24 @@ def list_experiments() -> None:
 
 
 @jaxctrl.command()
-@click.argument("names", metavar="NAME... | all", nargs=-1, required=True)
+@click.argument("words", metavar="NAME | FILE.py | all...", nargs=-1, required=True)
 @click.option("--quick", is_flag=True, help="Small settings that show the same in seconds.")
 @_out
 @click.option("--set", "pairs", metavar="KEY=VALUE", multiple=True, help="Change one setting.")
 @click.option("--force", is_flag=True, help="Compute again and replace what is there.")
-def run(names: tuple[str, ...], quick: bool, out: Path, pairs: tuple[str, ...], force: bool) -> int:
+def run(words: tuple[str, ...], quick: bool, out: Path, pairs: tuple[str, ...], force: bool) -> int:
     """Run experiments and write their data, figures and claims.
 
-    Each gets a folder of its own in the results folder. Those that are already finished with the
-    same settings are skipped, so that an interrupted run is resumed by repeating it.
+    An experiment is one of `jaxctrl list`, or a file of your own that defines Config, run, figure
+    and claims, such as my_experiment.py. Each gets a folder of its own in the results folder. Those
+    that are already finished with the same settings are skipped, so that an interrupted run is
+    resumed by repeating it.
     """
-    for name in names:
-        _check_word("experiment", name, [*experiments.names(), *experiments.ALIASES, "all"])
-    chosen = list(dict.fromkeys(map(experiments.resolve, names)))
-    chosen = experiments.names() if "all" in names else chosen
+    _check_experiments(words, "all")
+    every = experiments.names() if "all" in words else []
+    own = {experiments.resolve(word): word for word in words if word != "all"}
+    chosen = [*every, *(own[name] if own[name].endswith(".py") else name for name in own)]
+    chosen = list(dict.fromkeys(chosen))
     with _terminable():
         import jax
         import matplotlib
@@ -124,7 +127,7 @@ def run(names: tuple[str, ...], quick: bool, out: Path, pairs: tuple[str, ...], 
             enable_fast_cpu()
         jax.config.update("jax_enable_x64", True)
         matplotlib.use("Agg")
-        from .experiments import _runner, _store
+        from .experiments import _file, _runner, _store
 
         try:
             outcomes = _runner.run_many(
@@ -134,19 +137,19 @@ def run(names: tuple[str, ...], quick: bool, out: Path, pairs: tuple[str, ...], 
                 force=force,
                 report=lambda text, nl=True: say(text, err=True, nl=nl),
             )
-        except _store.StoreError as error:
+        except (_store.StoreError, _file.FileError) as error:
             raise _Unusable(str(error)) from error
         say(_scoreboard(outcomes))
         return _runner.exit_code(outcomes)
 
 
 @jaxctrl.command()
-@click.argument("name")
+@click.argument("word", metavar="NAME | FILE.py")
 @_out
-def show(name: str, out: Path) -> None:
+def show(word: str, out: Path) -> None:
     """Show settings, claims and variables of a finished experiment, and verify its files."""
-    _check_word("experiment", name, [*experiments.names(), *experiments.ALIASES])
-    name = experiments.resolve(name)
+    _check_experiments([word])
+    name = experiments.resolve(word)
     from .experiments import _store
 
     try:
@@ -154,7 +157,7 @@ def show(name: str, out: Path) -> None:
     except _store.StoreError as error:
         raise click.ClickException(str(error)) from error
     made = ", ".join(f"{package} {version}" for package, version in found.manifest.versions.items())
-    say(f"{name}: {experiments.EXPERIMENTS[name][1]}")
+    say(f"{name}: {experiments.describe(word)}")
     say(f"made by {made} in {found.manifest.wall_seconds} s; all files of {found.folder} are whole")
     if found.manifest.failure:
         say(f"FAILED: {found.manifest.failure}")
@@ -190,13 +193,21 @@ def bench(
 ) -> int:
     """Time the solvers: suites thesis, peers, scaling, problems, or all of them.
 
-    With --against, exits with 1 when something is slower than in the saved run.
+    Other programs (peers) are timed from a checkout of the repository alone, whose folder
+    benchmarks/ has them. With --against, exits with 1 when something is slower than in the saved
+    run.
     """
     for name in suites:
         _check_word("suite", name, benchmarks.SUITES)
-    from .bench import _files, _run
+    from .bench import _files, _peers, _run
 
     chosen = [name for name in benchmarks.SUITES if name in suites or not suites]
+    if not suites and not peers:
+        try:
+            _peers.folder()
+        except _peers.Absent as error:
+            chosen.remove("peers")
+            say(f"left out peers: {error}", err=True)
     with _terminable():
         try:
             return _run.run(
@@ -208,7 +219,7 @@ def bench(
                 report=lambda text: say(text, err=True),
                 show=say,
             )
-        except _files.FileError as error:
+        except (_files.FileError, _peers.Absent) as error:
             raise _Unusable(str(error)) from error
 
 
@@ -232,9 +243,22 @@ def _check_word(kind: str, word: str, words: Iterable[str]) -> None:
         raise click.UsageError(experiments.unknown(kind, word, words))
 
 
+def _check_experiments(words: Sequence[str], *more: str) -> None:
+    """Raise a usage error for words that name no experiment and no file of one."""
+    try:
+        experiments.check(words, *more)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+
+
 def _configure(name: str, module: ModuleType, quick: bool, pairs: Sequence[str]) -> Any:
     """Build the Config of an experiment from the options `--quick` and `--set`."""
-    config = module.Config.quick() if quick else module.Config()
+    if quick and not hasattr(module.Config, "quick"):
+        raise click.UsageError(f"--quick: the Config of {name} has no class method quick()")
+    try:
+        config = module.Config.quick() if quick else module.Config()
+    except TypeError as error:
+        raise click.UsageError(f"{name}: every setting of its Config needs a default") from error
     types = typing.get_type_hints(module.Config)
     changes = {}
     for pair in pairs:
@@ -242,6 +266,8 @@ def _configure(name: str, module: ModuleType, quick: bool, pairs: Sequence[str])
         if not equals:
             raise click.UsageError(f"--set {pair}: write it as key=value")
         _check_word(f"setting of {name}", key, [field.name for field in dataclasses.fields(config)])
+        if types[key] not in _TYPES:
+            raise click.UsageError(f"--set {pair}: {key} is neither int, float, bool nor str")
         try:
             changes[key] = _TYPES[types[key]].convert(value, None, None)
         except click.BadParameter as error:

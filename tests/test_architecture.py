@@ -15,6 +15,7 @@ import jaxctrl
 
 ROOT = Path(jaxctrl.__file__).parent
 FILES = sorted(ROOT.rglob("*.py"))
+PEERS = sorted((ROOT.parent / "benchmarks").rglob("*.py"))
 
 # Imports point strictly down, from a higher number to a lower one, or stay within a folder.
 FLOORS = {
@@ -31,6 +32,7 @@ FLOORS = {
     "_jit": 0,
     "_cpu": 0,
     "_jacobian": 0,
+    "stopwatch": 0,
     "_plant": 1,
     "_function_plant": 1,
     "_cost": 1,
@@ -42,6 +44,7 @@ FLOORS = {
     "_controller": 3,
     "_simulate": 3,
     "_local_model": 3,
+    "_expand": 3,
     "plants": 3,
     "tasks": 3,
     "plot": 3,
@@ -77,9 +80,10 @@ WITHIN = {
         "_closure",
         "_function",
         "_jit",
+        "stopwatch",
     ],
     1: ["_plant", "_function_plant", "_cost", "_noise", "_integrate", "_pulses"],
-    3: ["_controller", "_simulate", "_local_model", "plants", "tasks"],
+    3: ["_controller", "_simulate", "_local_model", "_expand", "plants", "tasks"],
     4: ["_solver", "_solution", "_audit", "_files", "_adjoint", "_solve", "_batch"],
     5: ["solvers", "_check_gradients", "problems"],
     7: ["experiments", "bench"],
@@ -147,7 +151,38 @@ def test_solvers_import_in_one_direction():
                 assert SOLVERS.index(other) < SOLVERS.index(name), f"{name} imports {other}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+def chains(tree, root):
+    """Yield the names after `root` in what is written root.a.b, as (a, b)."""
+    inner = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and id(node) not in inner:
+            names = []
+            while isinstance(node, ast.Attribute):
+                names, node = [node.attr, *names], node.value
+            if getattr(node, "id", "") == root:
+                yield tuple(names)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "experiments").glob("*.py")), ids=lambda p: p.stem)
+def test_experiments_use_the_public_door_alone(path):
+    """What they need a user can have: `jc.` and public names, or what lies in their own folder."""
+    tree = ast.parse(path.read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level <= 1, f"line {node.lineno} goes behind the public door"
+            if not node.level and node.module.split(".")[0] == "jaxctrl":
+                assert ast.unparse(node) == "from jaxctrl import __version__"
+        elif isinstance(node, ast.Import):
+            names = [name for name in node.names if name.name.split(".")[0] == "jaxctrl"]
+            assert all((name.name, name.asname) == ("jaxctrl", "jc") for name in names)
+    for names in chains(tree, "jc"):
+        assert names[0] in dir(jaxctrl), f"jc.{names[0]} is no public name"
+        room = getattr(jaxctrl, names[0])
+        if inspect.ismodule(room):
+            assert hasattr(room, names[1]) and not names[1].startswith("_"), names
+
+
+@pytest.mark.parametrize("path", FILES + PEERS, ids=lambda p: str(p.relative_to(ROOT.parent)))
 def test_files_and_functions_stay_small(path):
     text = path.read_text()
     assert text.count("\n") <= 400, "a file over 400 lines wants to be two"
@@ -227,7 +262,8 @@ def test_classes_are_abstract_or_final():
 
 def public():
     found = {}
-    for module in (jaxctrl, *(getattr(jaxctrl, name) for name in jaxctrl._MODULES)):
+    own = [value for name in dir(jaxctrl) if inspect.ismodule(value := getattr(jaxctrl, name))]
+    for module in (jaxctrl, *own):
         names = getattr(module, "__all__", None) or [n for n in vars(module) if n[0] != "_"]
         for name in names:
             value = getattr(module, name)
@@ -254,7 +290,13 @@ def test_public_names_are_documented_with_shapes(name):
 
 
 def test_table_of_contents_is_complete():
-    for name in jaxctrl.__all__:
+    stub = ast.parse((ROOT / "__init__.pyi").read_text())
+    listed = [alias.asname for node in stub.body for alias in getattr(node, "names", ())]
+    assert sorted(listed) == dir(jaxctrl) == jaxctrl.__all__, "each name is listed once"
+    assert [name for name in listed if name.startswith("_")] == ["__version__"]
+    for name in listed:
         assert getattr(jaxctrl, name) is not None
+    rooms = {path.parent.name for path in ROOT.glob("*/__init__.py")}
+    assert rooms - set(listed) == {"bench", "solvers"}, "a folder is public, or said not to be"
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         getattr(jaxctrl, "non" + "sense")

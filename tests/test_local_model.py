@@ -1,11 +1,13 @@
 """The expansion against the dense Hessian of the cost as a function of all controls."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxctrl as jc
+from jaxctrl._local_model import expand
 from jaxctrl.linear import costates, lqr, lqr_rollout
 
 
@@ -114,3 +116,25 @@ def test_event_outside_the_movement_is_refused_or_makes_the_cost_nan():
         return prob.total_cost(prob.rollout(jnp.zeros(2), jnp.ones((6, 2))), jnp.ones((6, 2)))
 
     assert jnp.isnan(jax.jit(cost)(jnp.array([0.1, 0.2, 0.7])))
+
+
+@pytest.mark.parametrize("second_order", [False, True])
+def test_the_public_expansion_is_compiled_once_for_all_numbers(second_order):
+    """Equal to the plain one that solvers have inside their loops, and traced no second time."""
+    traced, one = [], problem()
+
+    def counted(x, u, t, p):
+        traced.append(1)
+        return dynamics(x, u, t, p)
+
+    plant = jc.FunctionPlant(counted, nx=2, nu=2, params=3.0)
+    counting = jc.Problem(plant, one.cost, num_steps=6, dt=0.1)
+    us = np.linspace(-0.4, 0.5, 12).reshape(6, 2)
+    for factor in (1.0, 0.7):
+        other = eqx.tree_at(lambda p: p.plant.params, counting, jnp.array(2.0 * factor))
+        xs = other.rollout(jnp.array([0.3, -0.2]), jnp.asarray(us))
+        before = len(traced)
+        model = jc.expand(other, xs, us, second_order=second_order)
+        assert (len(traced) > before) == (factor == 1.0)
+        for a, b in zip(model, expand(other, xs, us, second_order=second_order), strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-15)

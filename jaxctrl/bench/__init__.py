@@ -1,7 +1,8 @@
 """Benchmarks: suites of timed solves, beside other programs, saved and compared with earlier runs.
 
 `jaxctrl bench` runs them. Every process of JAX compiles loops in one manner and has one dtype, so
-all measuring is done in child processes; nothing here imports JAX before they do.
+all measuring is done in child processes; nothing here imports JAX before they do. The other
+programs and their suite are in benchmarks/peers of the repository.
 """
 
 SUITES = {

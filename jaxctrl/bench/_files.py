@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from ._stopwatch import CORES
+from ..stopwatch import CORES
 
 SCHEMA = 1
 """Number of the file's layout; a file of another number is refused."""
@@ -128,7 +128,7 @@ def load(path: Path) -> dict[str, Any]:
 
 
 def _is_timing(timing: Any) -> bool:
-    """Tell whether a row's timing is what `_stopwatch.timing` returns."""
+    """Tell whether a row's timing is what `_timing.timing` returns."""
     if not isinstance(timing, dict):
         return False
     medians = (timing.get("ms"), timing.get("cpu_ms"))

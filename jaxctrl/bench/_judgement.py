@@ -1,7 +1,7 @@
 """Tell whether a time has changed: the statistic behind `--against`.
 
 What is compared is each row's processor time in units of the calibration that was run around it
-(`_stopwatch`), so that neither another program's load nor a faster machine counts as a change. A
+(`_timing`), so that neither another program's load nor a faster machine counts as a change. A
 row is measured in a few processes, and in each over several rounds:
 
     m = median over the processes of the median over the rounds of log(relative)
@@ -22,7 +22,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from . import _stopwatch
+from . import _timing
 
 MARGIN = 1.15
 """A smaller ratio of times is taken for no change."""
@@ -119,4 +119,4 @@ def merge(rows: Sequence[Row], again: Sequence[Row]) -> None:
     more = {key(row): row["timing"] for row in again if "timing" in row}
     for row in rows:
         if "timing" in row and key(row) in more:
-            row["timing"] = _stopwatch.merge(row["timing"], more[key(row)])
+            row["timing"] = _timing.merge(row["timing"], more[key(row)])

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 
 import jaxctrl as jc
 
-from ._scipy import minimised
+from ..stopwatch import one_core
+from . import _peers
 from ._solves import NEWTON, SOLVERS, converged, first_call, jitted
-from ._stopwatch import measure, one_core
+from ._timing import measure
 from ._worker import Emitter
 
 
@@ -30,7 +31,10 @@ def one(name: str, orders: dict[str, Any], emit: Emitter) -> None:
         first_call(lambda label=label: jitted(found.problem, SOLVERS[label](), found.x0, found.us))
         for label in NEWTON
     ]
-    rivals = [minimised(found.problem, found.x0, found.us)] if orders["peers"] else []
+    rivals = []
+    if orders["peers"]:
+        scipy = _peers.load("minimised")
+        rivals = [scipy.minimised(found.problem, found.x0, found.us)]
     with one_core():
         taken = measure(
             [*(call for call, _ in ours), *(rival.call for rival in rivals)],

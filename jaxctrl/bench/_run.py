@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import _bars, _files, _judgement, _layout, _plans
+from . import _files, _judgement, _layout, _peers, _plans
 
 # What a user may have set that would change what is measured.
 UNSET = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "JAX_ENABLE_X64", "JAX_NUM_CPU_DEVICES")
@@ -38,8 +38,11 @@ def run(
     Returns 0; 1 when something is slower than it was or a measurement failed; 130 when
     interrupted, with what was measured saved.
 
-    Raises: FileError, before anything is measured, for files that cannot be used.
+    Raises, before anything is measured: FileError for files that cannot be used, and Absent where
+    other programs are asked for and this is no checkout.
     """
+    if peers or "peers" in suites:
+        _peers.folder()
     old = None if against is None else _files.load(against)
     if save is not None:
         _files.check_writable(save)
@@ -97,10 +100,11 @@ class Session:
                 self.again(jobs, chosen, start)
         mine, held, best = rows[start:], [], {}
         if suite == "peers":
-            best = _bars.best_costs(mine)
-            _bars.add_success(mine, best)
+            bars = _peers.load("bars")
+            best = bars.best_costs(mine)
+            bars.add_success(mine, best)
             names = list(dict.fromkeys(row["problem"] for row in mine))
-            held = list(_bars.bars(_bars.Figures(mine), names, jobs[0].orders["restarts"]))
+            held = list(bars.bars(bars.Figures(mine), names, jobs[0].orders["restarts"]))
             self.run["bars"] = held
         self.show(_layout.summary(mine, held, best))
         self.write()

@@ -16,8 +16,9 @@ import numpy as np
 
 import jaxctrl as jc
 
+from ..stopwatch import one_core
 from ._solves import converged, first_call, jitted
-from ._stopwatch import measure, one_core
+from ._timing import measure
 from ._worker import Emitter
 
 ENGINES = ("sequential", "parallel")

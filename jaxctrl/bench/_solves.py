@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 import jaxctrl as jc
 
-from ._stopwatch import seconds
+from ..stopwatch import repeated, take
 
 SOLVERS: dict[str, Callable[..., jc.AbstractSolver]] = {
     "ILQR": jc.ILQR, "DDP": jc.DDP, "LBFGS": jc.LBFGS, "ConjugateGradient": jc.ConjugateGradient,
@@ -46,4 +46,4 @@ def first_call(make: Callable[[], Call]) -> tuple[Call, float]:
     """
     jax.clear_caches()
     call = make()
-    return call, seconds(call)
+    return call, take(repeated(call)).wall

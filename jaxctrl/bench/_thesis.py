@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from .. import experiments
-from ._stopwatch import Taken, timing
+from ..stopwatch import Taken
+from ._timing import timing
 from ._worker import Emitter
 
 TABLE = "table-4.1"
@@ -28,8 +29,9 @@ def run(orders: dict[str, Any], emit: Emitter) -> None:
             figures: dict[str, Any] = {"note": "never near the best cost"}
             if near:  # the nearest that it came
                 i = near[-1]
-                middle, half = float(cell.seconds[i]), float(cell.spread[i])
-                taken = timing([[Taken(t, t) for t in (middle - half, middle, middle + half)]], [])
+                middle, half, wall = (float(cell[k][i]) for k in ("seconds", "spread", "wall"))
+                rounds = [Taken(t, wall) for t in (middle - half, middle, middle + half)]
+                taken = timing([rounds], [])
                 figures = {"timing": taken, "iterations": float(cell.iterations[i])}
                 figures["note"] = f"within {float(data['near'][i]):g} of the best cost"
             emit(

@@ -9,15 +9,17 @@ import json
 import os
 import sys
 import traceback
+from types import ModuleType
 from typing import Any, TextIO
 
 import jax
 
 from .._cpu import enable_fast_cpu
+from . import _peers
 from ._files import strict
 
 DEVICES = 2
-MODULES = {"thesis": "_thesis", "peers": "_singles", "scaling": "_scaling", "problems": "_library"}
+MODULES = {"thesis": "_thesis", "scaling": "_scaling", "problems": "_library"}
 
 
 class Emitter:
@@ -52,14 +54,20 @@ def start(mode: str, dtype: str) -> None:
     jax.devices()  # before any pinning: JAX counts the cores when it starts its threads
 
 
+def suite_of(name: str) -> ModuleType:
+    """Import the module that measures a suite; that of the peers is in the repository."""
+    if name == "peers":
+        return _peers.load("suite")
+    return importlib.import_module(f".{MODULES[name]}", __package__)
+
+
 def main() -> None:
     """Carry out the orders."""
     stream = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what other programs print must not get among the records
     orders = json.load(sys.stdin)
     start(orders["mode"], orders["dtype"])
-    module = importlib.import_module(f".{MODULES[orders['suite']]}", __package__)
-    module.run(orders, Emitter(orders, stream))
+    suite_of(orders["suite"]).run(orders, Emitter(orders, stream))
 
 
 if __name__ == "__main__":

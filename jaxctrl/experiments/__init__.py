@@ -1,14 +1,19 @@
 """Published figures and tables as programs: a registry of names, each imported at first use.
 
-A module of the registry exports `Config` (a frozen dataclass of Python scalars and strings, with a
+An experiment is a module with `Config` (a frozen dataclass of Python scalars and strings, with a
 class method `quick()`), `run(config) -> Result`, `figure(result) -> Figure` and
-`claims(result) -> list[Claim]`. Nothing here imports JAX, so that `jaxctrl list` answers at once.
+`claims(result) -> list[Claim]`: one of the registry, or a file of your own (docs/experiments.md).
+Nothing here imports JAX, so that `jaxctrl list` answers at once.
 """
 
 import difflib
 import importlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from types import ModuleType
+
+from . import _file
+from ._result import Claim as Claim, Result as Result, named as named
 
 EXPERIMENTS: dict[str, tuple[str, str]] = {
     "fig-3.4": (
@@ -66,9 +71,14 @@ ALIASES = {"fig-3.5": "fig-3.4", "fig-3.7": "fig-3.6", "fig-3.9": "fig-3.8", "fi
 """Figures that another experiment draws too: the same movements under another model."""
 
 
-def resolve(name: str) -> str:
-    """Return the experiment that draws a figure; any other name as it is."""
-    return ALIASES.get(name, name)
+def resolve(word: str) -> str:
+    """Return the name under which results are kept: an alias's experiment, a file's stem."""
+    return Path(word).stem if _file.is_file(word) else ALIASES.get(word, word)
+
+
+def describe(word: str) -> str:
+    """Return one line about an experiment of the registry, or about a file."""
+    return _file.describe(word) if _file.is_file(word) else EXPERIMENTS[resolve(word)][1]
 
 
 def names() -> list[str]:
@@ -76,14 +86,37 @@ def names() -> list[str]:
     return list(EXPERIMENTS)
 
 
-def load(name: str) -> ModuleType:
-    """Import the module of an experiment.
+def check(words: Sequence[str], *more: str) -> None:
+    """Raise ValueError, before anything is imported, for words that name no experiment.
 
-    Raises: ValueError with the nearest name when there is no such experiment.
+    Arguments:
+        words: names of the registry, aliases, or paths of files (`*.py`).
+        more: further words that have a meaning.
     """
-    if name not in EXPERIMENTS:
-        raise ValueError(unknown("experiment", name, names()))
-    return importlib.import_module(EXPERIMENTS[name][0])
+    known = [*EXPERIMENTS, *ALIASES, *more]
+    for word in words:
+        if _file.is_file(word):
+            others = (each for each in words if _file.is_file(each) and each != word)
+            _file.check(word, [*known, *map(resolve, others)])
+        elif word not in known:
+            own = f"{word}.py"
+            if Path(own).is_file():
+                raise ValueError(f"no experiment {word!r}: did you mean the file {own!r}?")
+            raise ValueError(unknown("experiment", word, known))
+
+
+def load(word: str) -> ModuleType:
+    """Import the module of an experiment: a name of the registry, or the path of a file (`*.py`).
+
+    Raises: ValueError with the nearest name when there is no such experiment, or for a file that is
+    none, and whatever the module itself raises.
+    """
+    if _file.is_file(word):
+        _file.check(word, [*EXPERIMENTS, *ALIASES])
+        return _file.load(word)
+    if word not in EXPERIMENTS:
+        raise ValueError(unknown("experiment", word, names()))
+    return importlib.import_module(EXPERIMENTS[word][0])
 
 
 def unknown(kind: str, word: str, words: Iterable[str]) -> str:

@@ -1,9 +1,6 @@
-"""What the comparisons of chapter 4 of Li (2006) share: problems, methods, random starts, times."""
+"""What the comparisons of chapter 4 of Li (2006) share: problems, random starts, timed solves."""
 
-import math
-import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,24 +10,18 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.stats import norm
 
-from .._problem import Problem
-from .._status import Reason
-from ..plants import MuscleArm, Pendulum, TorqueArm
-from ..solvers import AbstractSolver
-from ..tasks import posture, swing_up
+import jaxctrl as jc
 
 TARGET = np.array([1.0, 1.5])
 START = (1.5, 1.5)
 SMOOTHING = 0.025
 """Standard deviation in time of the filter that makes random controls smooth [s]."""
-BLOCK = 5e-3
-"""What is timed is repeated until it takes this long [s]."""
 
 
 class Case(NamedTuple):
     """One problem with its start x0 (nx,)."""
 
-    problem: Problem
+    problem: jc.Problem
     x0: jax.Array
 
 
@@ -40,15 +31,18 @@ def arm_case(kind: str, num_steps: int, *, stop: bool = True) -> Case:
     Cost (4.20), r = 1e-4, T = 0.5 s; `stop` adds the term that the thesis's text asks for and its
     formula lacks. The start is our choice.
     """
-    arm = TorqueArm() if kind == "torque" else MuscleArm()
+    arm = jc.plants.TorqueArm() if kind == "torque" else jc.plants.MuscleArm()
     return Case(
-        posture(arm, TARGET, 0.5, num_steps=num_steps, stop=stop, effort=1e-4), arm.at_rest(*START)
+        jc.tasks.posture(arm, TARGET, 0.5, num_steps=num_steps, stop=stop, effort=1e-4),
+        arm.at_rest(*START),
     )
 
 
 def pendulum_case(num_steps: int) -> Case:
     """Return the swing-up of the hanging pendulum in 4 s, cost (4.23), r = 1e-5."""
-    return Case(swing_up(Pendulum(), 4.0, num_steps=num_steps), jnp.array([np.pi, 0.0]))
+    return Case(
+        jc.tasks.swing_up(jc.plants.Pendulum(), 4.0, num_steps=num_steps), jnp.array([np.pi, 0.0])
+    )
 
 
 def random_controls(case: Case, count: int, amplitude: float, seed: int) -> np.ndarray:
@@ -70,7 +64,7 @@ def random_controls(case: Case, count: int, amplitude: float, seed: int) -> np.n
 
 
 @eqx.filter_jit
-def iterate(case: Case, solver: AbstractSolver, us, limit, after: Callable[[Any], Any] | None):
+def iterate(case: Case, solver: jc.AbstractSolver, us, limit, after: Callable[[Any], Any] | None):
     """Iterate until the solver stops, or to iterate `limit`, an integer that is not static.
 
     `after`, if given, changes the solver's state after each iteration.
@@ -80,11 +74,11 @@ def iterate(case: Case, solver: AbstractSolver, us, limit, after: Callable[[Any]
 
     def unfinished(carry):
         state, count = carry
-        return solver.status(state).is_(Reason.RUNNING) & (count <= limit)
+        return solver.status(state).is_(jc.Reason.RUNNING) & (count <= limit)
 
     def body(carry):
         state, count = carry
-        state = solver.step(case.problem, state)
+        state = solver.step(case.problem, state, jnp.array(False))
         return state if after is None else after(state), count + 1
 
     start = (solver.init(case.problem, case.x0, us), jnp.array(0))
@@ -92,18 +86,32 @@ def iterate(case: Case, solver: AbstractSolver, us, limit, after: Callable[[Any]
     return solver.record(state).cost, count - 1
 
 
-def seconds(call: Callable[[], Any]) -> float:
-    """Return how long a call takes [s], to the end of what it has set going."""
-    begin = time.perf_counter()
-    jax.block_until_ready(call())
-    return time.perf_counter() - begin
+@eqx.filter_jit
+def paths_of(case: Case, uss: jax.Array, shown: tuple[int, ...]) -> jax.Array:
+    """Return the joint angles of an arm in some iterations of ILQR, (shown, start, time, joint).
+
+    Iteration 0 is the first step from the controls of each start, uss (start, T, nu).
+    """
+    problem, solver = case.problem, jc.ILQR()
+
+    def each(us):
+        def body(state, _):
+            state = solver.step(problem, state, jnp.array(False))
+            return state, solver.found(problem, state).xs[:, :2]
+
+        state = solver.init(problem, case.x0, us)
+        return jax.lax.scan(body, state, length=max(shown) + 1)[1][jnp.array(shown)]
+
+    return jnp.moveaxis(jax.lax.map(each, uss), 0, 1)
 
 
-def timed(case: Case, solver: AbstractSolver) -> Callable[..., jax.Array]:
-    """Return a compiled function of (us, limit, count): solve `count` times, to iterate `limit`.
+def timed(case: Case, solver: jc.AbstractSolver) -> Callable[..., tuple[jax.Array, jax.Array]]:
+    """Return a function of (us, limit, count), for `in_turns`: solve `count` times, to iterate
+    `limit`, in one compiled call.
 
     The solves follow one another inside: shared out among many, what the call itself takes, several
-    iterations of a small problem, does not count. It returns the cost, shape ().
+    iterations of a small problem, does not count. It returns the cost and the number
+    of the last iterate, both of shape ().
     """
     arrays, static = eqx.partition((case, solver), eqx.is_array)
     leaves, tree = jax.tree.flatten(arrays)
@@ -112,30 +120,12 @@ def timed(case: Case, solver: AbstractSolver) -> Callable[..., jax.Array]:
     def repeated(leaves, us, limit, count):
         case, solver = eqx.combine(jax.tree.unflatten(tree, leaves), static)
 
-        def body(_, cost):  # which each needs from the last: none can be left out
-            return iterate(case, solver, us + 0 * cost, limit, None)[0]
+        def body(_, last):  # which each needs from the one before: none can be left out
+            return iterate(case, solver, us + 0 * last[0], limit, None)
 
-        return jax.lax.fori_loop(0, count, body, jnp.zeros((), us.dtype))
+        return jax.lax.fori_loop(0, count, body, (jnp.zeros((), us.dtype), jnp.array(0)))
 
-    return partial(repeated, leaves)
-
-
-def in_turns(calls: Sequence[Callable[[int], Any]], repeats: int) -> np.ndarray:
-    """Return the warm times [s] of calls that do something as often as told: (repeats, calls).
-
-    They are timed in turns, so that what disturbs the machine disturbs all alike, each after a call
-    of its own that fetches into the caches what the others have displaced.
-    """
-    counts = []
-    for call in calls:
-        jax.block_until_ready(call(1))
-        counts.append(math.ceil(BLOCK / seconds(partial(call, 1))))
-    times = np.empty((repeats, len(calls)))
-    for turn in range(repeats):
-        for i, (call, count) in enumerate(zip(calls, counts, strict=True)):
-            jax.block_until_ready(call(1))
-            times[turn, i] = seconds(partial(call, count)) / count
-    return times
+    return lambda us, limit, count: jax.block_until_ready(repeated(leaves, us, limit, count))
 
 
 def first_within(costs: np.ndarray, best: float, near: Sequence[float]) -> list[float]:

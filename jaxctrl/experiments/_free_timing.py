@@ -10,10 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from .._cost import AbstractCost
-from .._integrate import AbstractIntegrator
-from .._plant import AbstractHand
-from .._types import Bounds, array_leaf
+import jaxctrl as jc
 
 
 class ClosedPath(eqx.Module):
@@ -40,7 +37,7 @@ class ClosedPath(eqx.Module):
         return jnp.sum(self.coefficients * waves[..., None], axis=(0, 1))
 
 
-class OnPath(AbstractHand):
+class OnPath(jc.AbstractHand):
     """Let a plant with a hand trace a closed path, d(x, s)/dt = (f(x, u, t), r).
 
     State (x, s), shape (nx + 1,), with the phase s of the path in rad; control (u, r), shape
@@ -56,15 +53,15 @@ class OnPath(AbstractHand):
     nx: int = eqx.field(static=True)
     nu: int = eqx.field(static=True)
     discrete: bool = eqx.field(static=True)
-    body: AbstractHand
+    body: jc.AbstractHand
     path: ClosedPath
     turns: Float[Array, ""]
-    control_bounds: Bounds
+    control_bounds: tuple[Array, Array]
     nominal_control: Float[Array, " nu"]
 
     def __init__(
         self,
-        body: AbstractHand,
+        body: jc.AbstractHand,
         path: ClosedPath,
         *,
         turns: ArrayLike,
@@ -72,7 +69,7 @@ class OnPath(AbstractHand):
         fastest: ArrayLike,
     ):
         self.nx, self.nu, self.discrete = body.nx + 1, body.nu + 1, False
-        self.body, self.path, self.turns = body, path, array_leaf(turns)
+        self.body, self.path, self.turns = body, path, jc.array_leaf(turns)
         free = jnp.full(body.nu, jnp.inf)
         lower, upper = (-free, free) if body.control_bounds is None else body.control_bounds
         self.control_bounds = jnp.append(lower, 0.0), jnp.append(upper, fastest)
@@ -96,28 +93,28 @@ class OnPath(AbstractHand):
         return self.body.hand_velocity(x[:-1])
 
 
-class StepOnPath(AbstractIntegrator):
+class StepOnPath(jc.AbstractIntegrator):
     """Take the body of an `OnPath` a step further by its own rule, and the phase by r dt.
 
     Arguments:
         rule: of the body, such as `RK4()`.
     """
 
-    rule: AbstractIntegrator
+    rule: jc.AbstractIntegrator
 
     def __call__(self, plant: Any, x, u, t, dt):
         """Return (x', s + r dt), shape (nx + 1,)."""
         return jnp.append(self.rule(plant.body, x[:-1], u[:-1], t, dt), x[-1] + dt * u[-1])
 
 
-class OfBody(AbstractCost):
+class OfBody(jc.AbstractCost):
     """A cost of the body of an `OnPath`, without events.
 
     Arguments:
         cost: of the body's own state and control.
     """
 
-    cost: AbstractCost
+    cost: jc.AbstractCost
 
     @property
     def running_is_quadratic(self) -> bool:
@@ -143,7 +140,7 @@ class OfBody(AbstractCost):
         return ()
 
 
-class PathCost(AbstractCost):
+class PathCost(jc.AbstractCost):
     """Cost of leaving an `OnPath`'s path, w |e - p(s)|^2 per second, and of not completing it.
 
     At the end w_T |e - p(s)|^2 + w_s (s - 2 pi turns)^2. The pace along the path costs
@@ -154,10 +151,10 @@ class PathCost(AbstractCost):
         pace_weight: v [s/m^2].
     """
 
-    weight: Float[Array, ""] = eqx.field(converter=array_leaf)
-    terminal_weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=100.0)
-    phase_weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1.0)
-    pace_weight: Float[Array, ""] = eqx.field(converter=array_leaf, default=1e-9)
+    weight: Float[Array, ""] = eqx.field(converter=jc.array_leaf)
+    terminal_weight: Float[Array, ""] = eqx.field(converter=jc.array_leaf, default=100.0)
+    phase_weight: Float[Array, ""] = eqx.field(converter=jc.array_leaf, default=1.0)
+    pace_weight: Float[Array, ""] = eqx.field(converter=jc.array_leaf, default=1e-9)
     running_is_quadratic: bool = eqx.field(static=True, default=False, init=False)
     terminal_is_quadratic: bool = eqx.field(static=True, default=False, init=False)
 

@@ -9,8 +9,9 @@ that stays within a hundredth of a radian of it.
 
 import functools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -19,21 +20,30 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from .. import analysis, plot
-from .._problem import Problem
-from .._solution import Solution
-from .._solve import solve
-from ..models import AbstractModel, MinimumEnergy, MinimumTorqueChange, Path, minimum_jerk
-from ..models._compare import hand_motion
-from ..plants import MuscleArm, TorqueArm
-from ..solvers import DDP, ILQR
-from ..tasks import limit_joints, reach, track, via
-from ._result import Claim
+import jaxctrl as jc
+
+from ._result import Claim, named
 
 AMPLITUDE = 0.3
 """Random starts are constant excitations from U[0, AMPLITUDE]; our choice."""
 
-MODELS = {"torque change": MinimumTorqueChange, "energy": MinimumEnergy}
+MODELS = {"torque change": jc.models.MinimumTorqueChange, "energy": jc.models.MinimumEnergy}
+
+
+@dataclass(frozen=True)
+class MovementConfig:
+    """Settings of a planned movement: duration [s] and number of time steps.
+
+    `restarts` random starts of each movement, besides those that are always tried; at most
+    `max_steps` iterations from each; the `seed` of the random starts. A figure adds what else it
+    needs.
+    """
+
+    duration: float = 0.5
+    num_steps: int = 50
+    restarts: int = 2
+    max_steps: int = 600
+    seed: int = 0
 
 
 class Movement(NamedTuple):
@@ -69,68 +79,78 @@ class Planned(NamedTuple):
     spread: float
 
 
-def task_of(arm: MuscleArm | TorqueArm, movement: Movement, config: Any) -> Problem:
+def task_of(
+    arm: jc.plants.MuscleArm | jc.plants.TorqueArm, movement: Movement, config: MovementConfig
+) -> jc.Problem:
     """Return the reach, or the movement through a via-point."""
     steps = {"duration": config.duration, "num_steps": config.num_steps}
     if not movement.via:
-        return reach(arm, movement.target, **steps)
-    task = via(arm, movement.target, **movement.via, **steps)
-    return limit_joints(task, np.array([-np.inf, 0.0]), np.array([np.inf, np.pi]))
+        return jc.tasks.reach(arm, movement.target, **steps)
+    task = jc.tasks.via(arm, movement.target, **movement.via, **steps)
+    return jc.tasks.limit_joints(task, np.array([-np.inf, 0.0]), np.array([np.inf, np.pi]))
 
 
 def plan(
-    arm: MuscleArm | TorqueArm, movements: Sequence[Movement], config: Any
+    arm: jc.plants.MuscleArm | jc.plants.TorqueArm,
+    movements: Sequence[Movement],
+    config: MovementConfig,
 ) -> dict[str, list[Planned]]:
-    """Plan movements from rest under minimum torque change and minimum energy.
-
-    The settings used are duration, num_steps, restarts, max_steps and seed.
-    """
+    """Plan movements from rest under minimum torque change and minimum energy."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        starts = list(pool.map(lambda m: _first_guesses(arm, m, config), movements))
+        guess = functools.partial(_first_guesses, arm, config=config)
+        starts = _mapped(pool, guess, movements)
         found: dict[str, list[Planned]] = {}
         for name, kind in MODELS.items():
             plan_one = functools.partial(_plan_one, arm, kind(), config)
-            found[name] = list(pool.map(plan_one, movements, starts))
-            if isinstance(arm, MuscleArm):
+            found[name] = _mapped(pool, plan_one, movements, starts)
+            if isinstance(arm, jc.plants.MuscleArm):
                 starts = [[*s, p.us] for s, p in zip(starts, found[name], strict=True)]
     return found
 
 
-def _first_guesses(arm, movement: Movement, config: Any) -> list[np.ndarray | None]:
+def _mapped(pool: ThreadPoolExecutor, call: Callable[..., Any], *items: Sequence[Any]) -> list[Any]:
+    """Call a function for each item in threads, the first alone: it compiles for all of them."""
+    first, *others = zip(*items, strict=True)
+    return [call(*first), *pool.map(lambda each: call(*each), others)]
+
+
+def _first_guesses(arm, movement: Movement, config: MovementConfig) -> list[np.ndarray | None]:
     """Return the controls from which to solve; None for the nominal ones, which do for torques."""
-    if isinstance(arm, TorqueArm):
+    if isinstance(arm, jc.plants.TorqueArm):
         return [None]
     ts = np.linspace(0, config.duration, config.num_steps + 1)
     path = np.asarray(least_jerk(movement, ts).position)
     far = np.linalg.norm(path, axis=1, keepdims=True) / (0.99 * float(arm.longest_reach))
     path = path / np.maximum(far, 1.0)  # least jerk knows no arm, and may leave its reach
-    follow = track(
+    follow = jc.tasks.track(
         arm, path, config.duration, num_steps=config.num_steps, path_weight=100.0, effort=1e-5
     )
-    followed = solve(follow, ILQR(), _at_rest(arm, movement), max_steps=60)
+    followed = jc.solve(follow, jc.ILQR(), _at_rest(arm, movement), max_steps=60)
     rng = np.random.default_rng(config.seed)
     levels = AMPLITUDE * rng.random((config.restarts, arm.nu))
     constant = [np.tile(level, (config.num_steps, 1)) for level in levels]
     return [None, np.asarray(followed.us), *constant]
 
 
-def _at_rest(arm: MuscleArm | TorqueArm, movement: Movement) -> jax.Array:
+def _at_rest(arm: jc.plants.MuscleArm | jc.plants.TorqueArm, movement: Movement) -> jax.Array:
     q = arm.inverse_kinematics(jnp.asarray(movement.start))
     return arm.at_rest(q[0], q[1])
 
 
-def _plan_one(arm, model: AbstractModel, config: Any, movement: Movement, guesses) -> Planned:
+def _plan_one(
+    arm, model: jc.models.AbstractModel, config: MovementConfig, movement: Movement, guesses
+) -> Planned:
     """Solve from every guess, and keep the cheapest sound solution, or the cheapest at all."""
     task = task_of(arm, movement, config)
     problem, x0 = model.problem(task), model.start(task, _at_rest(arm, movement))
-    tried = [solve(problem, DDP(), x0, us, max_steps=config.max_steps) for us in guesses]
+    tried = [jc.solve(problem, jc.DDP(), x0, us, max_steps=config.max_steps) for us in guesses]
     sound = [solution for solution in tried if bool(solution.status.ok) and _sound(solution)]
     costs = [float(solution.cost) for solution in sound or tried]
     kept = (sound or tried)[int(np.argmin(costs))]
-    hand, velocity = hand_motion(problem, kept.xs)
+    body: Any = problem.plant
     return Planned(
-        np.asarray(hand),
-        np.asarray(velocity),
+        np.asarray(jax.vmap(body.hand)(kept.xs)),
+        np.asarray(jax.vmap(body.hand_velocity)(kept.xs)),
         np.asarray(kept.us),
         min(costs),
         int(kept.num_steps),
@@ -140,7 +160,7 @@ def _plan_one(arm, model: AbstractModel, config: Any, movement: Movement, guesse
     )
 
 
-def _sound(solution: Solution) -> bool:
+def _sound(solution: jc.Solution) -> bool:
     """Tell whether the elbow stays within 0 and pi, to 0.01 rad."""
     elbow = np.asarray(solution.xs[:, 1])
     return bool((elbow > -0.01).all() and (elbow < np.pi + 0.01).all())
@@ -150,7 +170,7 @@ def dataset(
     planned: dict[str, list[Planned]],
     labels: Sequence[str],
     movements: Sequence[Movement],
-    config: Any,
+    config: MovementConfig,
 ) -> xarray.Dataset:
     """Label what was planned: hand, velocity, speed, cost, iterations, by model and movement."""
     ts = np.linspace(0, config.duration, config.num_steps + 1)
@@ -193,11 +213,6 @@ def dataset(
     return xarray.Dataset(data, coords=coords)
 
 
-def named(name: str, units: str) -> dict[str, str]:
-    """Return the attributes of a variable."""
-    return {"long_name": name, "units": units}
-
-
 def failures(planned: dict[str, list[Planned]], labels: Sequence[str]) -> str:
     """Say which movements were not solved, or nothing."""
     return "; ".join(
@@ -208,9 +223,9 @@ def failures(planned: dict[str, list[Planned]], labels: Sequence[str]) -> str:
     )
 
 
-def least_jerk(movement: Movement, ts: np.ndarray) -> Path:
+def least_jerk(movement: Movement, ts: np.ndarray) -> jc.models.Path:
     """Return the path of least jerk at times ts (n,) [s], from 0 to the duration."""
-    return minimum_jerk(movement.start, movement.target, ts[-1], ts, **movement.via)
+    return jc.models.minimum_jerk(movement.start, movement.target, ts[-1], ts, **movement.via)
 
 
 def milliseconds(time: float) -> str:
@@ -236,30 +251,30 @@ def passed(data: xarray.Dataset, model: str, source: str) -> Claim:
     )
 
 
-def profiles(data: xarray.Dataset, model: str) -> list[analysis.SpeedProfile]:
+def profiles(data: xarray.Dataset, model: str) -> list[jc.analysis.SpeedProfile]:
     """Return the peaks and valleys of each movement's speed."""
     ts = data.time.values
-    return [analysis.speed_peaks(ts, speed) for speed in data.speed.sel(model=model).values]
+    return [jc.analysis.speed_peaks(ts, speed) for speed in data.speed.sel(model=model).values]
 
 
 def draw(data: xarray.Dataset, numbers: dict[str, str]) -> Figure:
     """Draw paths and speeds through via-points, one row for each model, titled by its figure."""
-    fig, axes = plot.panels(len(numbers), 2, size=(7.5, 5.6))
+    fig, axes = jc.plot.panels(len(numbers), 2, size=(7.5, 5.6))
     labels = [str(label) for label in data.movement.values]
     for row, (model, number) in zip(axes, numbers.items(), strict=True):
         part = data.sel(model=model)
-        plot.hand_paths(
+        jc.plot.hand_paths(
             list(part.hand.values),
             data.target.values,
             via=data.point.values,
             labels=labels,
             ax=row[0],
         )
-        plot.speed_profiles(data.time, list(part.speed.values), labels=labels, ax=row[1])
+        jc.plot.speed_profiles(data.time, list(part.speed.values), labels=labels, ax=row[1])
         row[1].get_legend().remove()
         for time in np.unique(data.passing.values):
             row[1].axvline(time, color="0.6", linewidth=0.7, zorder=0)
-        with plot.style():
+        with jc.plot.style():
             row[0].set_title(f"{number}  minimum {model}", loc="left")
             row[1].set_title("grey: when the via-point is passed", loc="left", color="0.4")
     top = max(ax.get_ylim()[1] for ax in axes[:, 1])

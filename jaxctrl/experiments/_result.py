@@ -1,9 +1,10 @@
 """What an experiment returns: labelled arrays, and what a publication claims about them."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import xarray
+if TYPE_CHECKING:  # so that `jaxctrl --help` imports nothing heavy
+    import xarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +22,7 @@ class Result:
     Raises: ValueError naming a variable that lacks its name or its units.
     """
 
-    data: xarray.Dataset
+    data: "xarray.Dataset"
     config: Any
     failure: str = ""
 
@@ -58,3 +59,11 @@ class Claim:
 
     def __post_init__(self):
         object.__setattr__(self, "holds", bool(self.holds))
+
+
+def named(long_name: str, units: str) -> dict[str, str]:
+    """Return the attributes that every variable of a `Result` has: its name in words and its units.
+
+    xarray.Variable("time", ts, named("time", "s"))
+    """
+    return {"long_name": long_name, "units": units}

@@ -11,8 +11,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
-from .._version import __version__
-from . import _store, load
+from jaxctrl import __version__
+
+from . import _file, _store, load, resolve
 from ._result import Claim, Result
 
 State = Literal["finished", "skipped", "failed", "refused", "interrupted", "not run"]
@@ -38,6 +39,15 @@ class Outcome:
     trace: str = ""
 
 
+@dataclass(frozen=True)
+class Job:
+    """Hold what is to be run: the experiment's module, its `Config`, a file's fingerprint."""
+
+    module: ModuleType
+    config: Any
+    own: dict[str, str]
+
+
 def exit_code(outcomes: Sequence[Outcome]) -> int:
     """Return 130 after an interruption, 1 when an experiment failed or was refused, 0 otherwise."""
     states = {outcome.state for outcome in outcomes}
@@ -47,7 +57,7 @@ def exit_code(outcomes: Sequence[Outcome]) -> int:
 
 
 def run_many(
-    names: Sequence[str],
+    words: Sequence[str],
     configure: Callable[[str, ModuleType], Any],
     out: Path,
     *,
@@ -60,30 +70,35 @@ def run_many(
     KeyboardInterrupt the rest is left out.
 
     Arguments:
-        names: of the experiments.
+        words: names of experiments, or paths of files (`*.py`).
         configure: gives the `Config` from a name and its module; what it raises passes through,
             before anything is computed.
         out: results folder, created when missing.
         force: compute again what is already there.
         report: called with each line of progress, and with `nl=False` for an incomplete one.
 
-    Raises: StoreError, before anything is computed, when the folder cannot be used.
+    Raises, before anything is computed: StoreError when the folder cannot be used, FileError for a
+    file that is no experiment.
     """
-    jobs: dict[str, Any] = {}
-    for name in names:
+    jobs: dict[str, Job | Outcome] = {}
+    for word in words:
+        name = resolve(word)
         try:
-            module = load(name)
+            module = load(word)
+        except _file.FileError:
+            raise
         except Exception as error:
             jobs[name] = _failed(name, error)
         else:
-            jobs[name] = configure(name, module)
+            own = _file.fingerprint(word) if _file.is_file(word) else {}
+            jobs[name] = Job(module, configure(name, module), own)
     outcomes: list[Outcome] = []
     with _store.locked(out):
         try:
             for name, job in jobs.items():
                 tick, end = _progress(f"[{len(outcomes) + 1}/{len(jobs)}] {name}", report)
-                failed = isinstance(job, Outcome)
-                outcome = job if failed else run_one(name, job, out, force=force, tick=tick)
+                ready = isinstance(job, Job)
+                outcome = run_one(name, job, out, force=force, tick=tick) if ready else job
                 outcomes.append(outcome)
                 end(outcome)
         except KeyboardInterrupt:
@@ -96,7 +111,7 @@ def run_many(
 
 def run_one(
     name: str,
-    config: Any,
+    job: Job,
     out: Path,
     *,
     force: bool = False,
@@ -108,7 +123,7 @@ def run_one(
     `failed`; a folder with something else in it becomes the state `refused`.
 
     Arguments:
-        config: an instance of the experiment's `Config`.
+        job: what to run.
         force: compute again, and replace what is there.
         tick: called with the seconds that have passed, from 0 on, while the experiment runs.
     """
@@ -117,15 +132,15 @@ def run_one(
         if force:
             _store.check_ours(folder)
         elif folder.exists():
-            return _compare(_store.read(out, name), _store.settings(config))
+            return _compare(_store.read(out, name), job)
     except _store.StoreError as error:
         return Outcome(name, "refused", f"{error}{'' if force else '; --force recomputes it'}")
     try:
-        _store.settings(config)
+        _store.settings(job.config)
         start = time.monotonic()
-        result, figure, claims = _in_background(lambda: _compute(name, config), tick)
+        result, figure, claims = _in_background(lambda: _compute(job), tick)
         seconds = time.monotonic() - start
-        _store.write(out, name, result, figure, claims, seconds)
+        _store.write(out, name, result, figure, claims, seconds, job.own)
     except Exception as error:
         return _failed(name, error)
     if result.failure:
@@ -133,11 +148,20 @@ def run_one(
     return Outcome(name, "finished", f"in {seconds:.1f} s", tuple(claims))
 
 
-def _compute(name: str, config: Any) -> tuple[Result, Any, list[Claim]]:
-    """Run an experiment, draw its figure and judge its claims."""
-    module = load(name)
-    result = module.run(config)
-    return result, module.figure(result), module.claims(result)
+def _compute(job: Job) -> tuple[Result, Any, list[Claim]]:
+    """Run an experiment, draw its figure and judge its claims.
+
+    Raises: TypeError for what is no result, figure or list of claims.
+    """
+    result = job.module.run(job.config)
+    if not isinstance(result, Result):
+        raise TypeError(f"run: a jc.experiments.Result is wanted, got {type(result).__name__}")
+    figure, claims = job.module.figure(result), job.module.claims(result)
+    if not hasattr(figure, "savefig"):
+        raise TypeError(f"figure: a matplotlib Figure is wanted, got {type(figure).__name__}")
+    if not isinstance(claims, list) or not all(isinstance(claim, Claim) for claim in claims):
+        raise TypeError(f"claims: a list of jc.experiments.Claim is wanted, got {claims!r:.80}")
+    return result, figure, claims
 
 
 def _in_background(work: Callable[[], Any], tick: Callable[[float], None]) -> Any:
@@ -161,9 +185,10 @@ def _in_background(work: Callable[[], Any], tick: Callable[[float], None]) -> An
     return future.result()
 
 
-def _compare(found: _store.Finished, config: dict[str, Any]) -> Outcome:
+def _compare(found: _store.Finished, job: Job) -> Outcome:
     """Skip an experiment that is finished with the same settings and version; refuse another."""
     name, version = found.manifest.experiment, found.manifest.versions["jaxctrl"]
+    config = _store.settings(job.config)
     differences = [
         f"{key} is {found.config.get(key)!r} there and {config.get(key)!r} here"
         for key in config | found.config
@@ -171,6 +196,9 @@ def _compare(found: _store.Finished, config: dict[str, Any]) -> Outcome:
     ]
     if version != __version__:
         differences.append(f"it was made by jaxctrl {version}, this is {__version__}")
+    for file, digest in job.own.items():
+        if found.manifest.versions.get(file) != digest:
+            differences.append(f"{file} has changed since")
     if differences:
         raise _store.StoreError(f"{found.folder}: finished differently: {'; '.join(differences)}")
     if found.manifest.failure:

@@ -14,15 +14,17 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import filelock
 import xarray
 
-from .._version import __version__
+from jaxctrl import __version__
+
 from ._result import Claim, Result
 
 SCHEMA = 1
@@ -48,7 +50,7 @@ class Manifest:
     Arguments:
         schema: number of the folder's layout.
         experiment: name in the registry.
-        versions: of jaxctrl, jax and numpy.
+        versions: of jaxctrl, jax and numpy, and the fingerprint of a user's own file.
         wall_seconds: how long the experiment took [s].
         failure: reason why the result cannot be trusted, or empty.
         files: size in bytes and SHA-256 of each file.
@@ -142,7 +144,13 @@ def check_ours(folder: Path) -> None:
 
 
 def write(
-    out: Path, name: str, result: Result, figure: Any, claims: list[Claim], seconds: float
+    out: Path,
+    name: str,
+    result: Result,
+    figure: Any,
+    claims: list[Claim],
+    seconds: float,
+    own: Mapping[str, str] = MappingProxyType({}),
 ) -> Path:
     """Write a finished experiment, all of it or nothing, and return its folder.
 
@@ -151,6 +159,7 @@ def write(
     Arguments:
         figure: matplotlib Figure, saved as PDF and PNG.
         seconds: how long the experiment took [s].
+        own: name and fingerprint of the experiment's file, where it is not one of the package.
     """
     partial = out / f"{_PARTIAL}{name}"
     partial.mkdir()
@@ -162,6 +171,7 @@ def write(
             versions={
                 "jaxctrl": __version__,
                 **{package: importlib.metadata.version(package) for package in ("jax", "numpy")},
+                **own,
             },
             wall_seconds=round(seconds, 3),
             failure=result.failure,

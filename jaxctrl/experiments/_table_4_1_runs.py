@@ -8,19 +8,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._batch import best as best_of, solve_batch
-from .._solution import Solution
-from .._solve import solve
-from .._solver import AbstractDirectSolver, AbstractSolver
-from ..solvers import DDP, ILQR, LBFGS, BoundaryValue, ConjugateGradient
-from ._chapter_4 import Case, first_within, in_turns, iterate, random_controls, seconds, timed
+import jaxctrl as jc
+
+from ._chapter_4 import Case, first_within, iterate, random_controls, timed
 
 METHODS = {
-    "ILQR": ILQR,
-    "DDP": DDP,
-    "CG": ConjugateGradient,
-    "L-BFGS": LBFGS,
-    "BVP": BoundaryValue,
+    "ILQR": jc.ILQR,
+    "DDP": jc.DDP,
+    "CG": jc.ConjugateGradient,
+    "L-BFGS": jc.LBFGS,
+    "BVP": jc.BoundaryValue,
 }
 NEAR = (1e-2, 1e-3, 1e-4)
 AMPLITUDE = {True: 0.3, False: 1.0}
@@ -39,6 +36,7 @@ class Row(NamedTuple):
     steps: int
     seconds: list[float]
     spread: list[float]
+    wall: list[float]
     iterations: list[float]
     first: float
 
@@ -46,71 +44,86 @@ class Row(NamedTuple):
 def measure(case: Case, config: Any) -> tuple[list[Row], float, tuple[float, float]]:
     """Return a row for each method, the best cost known, and how ILQR fares undamped."""
     us = case.problem.nominal_controls
+    jax.clear_caches()  # what has been solved before must not shorten the first calls
     first = {name: _first(case, method(), config) for name, method in METHODS.items()}
-    starts = random_controls(
-        case, config.starts, AMPLITUDE[case.problem.bounds is not None], config.seed
-    )
-    found = best_of(solve_batch(case.problem, ILQR(), case.x0, jnp.asarray(starts)))
-    polished = solve(case.problem, DDP(), case.x0, found.us)
     solutions = [solution for solution, _ in first.values()]
-    costs = [float(each.cost) for each in (*solutions, found, polished)]
+    costs = [*(float(each.cost) for each in solutions), _search(case, config)]
     best = min(cost for cost in costs if np.isfinite(cost))
     iterates, times = _times(case, first, best, config)
     rows = [_row(*first[name], iterates[name], times[name]) for name in METHODS]
-    cost, count = iterate(case, ILQR(), us, config.max_steps, _undamp)
+    cost, count = iterate(case, jc.ILQR(), us, config.max_steps, _undamp)
     return rows, best, (float(cost) / best - 1, float(count))
 
 
-def _first(case: Case, solver: AbstractSolver, config: Any) -> tuple[Solution, float]:
-    """Solve with nothing compiled before; return the solution and the time [s]."""
-    found: list[Solution] = []
+def _search(case: Case, config: Any) -> float:
+    """Return the lowest cost of ILQR from random controls, continued by DDP; inf from none."""
+    if not config.starts:
+        return np.inf
+    amplitude = AMPLITUDE[case.problem.bounds is not None]
+    starts = jnp.asarray(random_controls(case, config.starts, amplitude, config.seed))
+    found = jc.best(jc.solve_batch(case.problem, jc.ILQR(), case.x0, starts))
+    polished = jc.solve(case.problem, jc.DDP(), case.x0, found.us)
+    return min(float(found.cost), float(polished.cost))
+
+
+def _first(case: Case, solver: jc.AbstractSolver, config: Any) -> tuple[jc.Solution, float]:
+    """Solve for the first time, and so compile; return the solution and the wall time [s]."""
+    found: list[jc.Solution] = []
+
+    def solve(x0):
+        return jc.solve(case.problem, solver, x0, max_steps=config.max_steps)
+
+    # Compiled as a whole: small operations outside are shared, and whoever came first would pay.
+    whole = solve if isinstance(solver, jc.AbstractDirectSolver) else eqx.filter_jit(solve)
 
     def call():
-        found.append(solve(case.problem, solver, case.x0, max_steps=config.max_steps))
-        return found[0].cost
+        found.append(jax.block_until_ready(whole(case.x0)))
 
-    jax.clear_caches()
-    taken = seconds(call)
-    return found[0], taken
+    taken = jc.stopwatch.take(jc.stopwatch.repeated(call))
+    return found[0], taken.wall
 
 
 def _times(
-    case: Case, first: dict[str, tuple[Solution, float]], best: float, config: Any
+    case: Case, first: dict[str, tuple[jc.Solution, float]], best: float, config: Any
 ) -> tuple[dict[str, list[float]], dict[str, np.ndarray]]:
     """Time how soon the methods come near the best cost: by their histories, or by their ends.
 
-    Returns, by method, the iterates (NEAR,), and the times [s] (repeats, NEAR); NaN where it does
-    not come.
+    Returns, by method, the iterates (NEAR,), and the processor and wall times [s], each (repeats,
+    NEAR), stacked; NaN where it does not come.
     """
     iterates, times, calls, places = {}, {}, [], []
     for name, (solution, taken) in first.items():
         solver = METHODS[name]()
-        if isinstance(solver, AbstractDirectSolver):
+        if isinstance(solver, jc.AbstractDirectSolver):
             iterates[name] = [np.nan] * len(NEAR)
-            again = range(1 if taken > LONG else min(3, config.repeats))
-            whole = [[seconds(lambda: solve(case.problem, solver, case.x0).cost)] for _ in again]  # noqa: B023
+            whole = jc.stopwatch.repeated(partial(jc.solve, case.problem, solver, case.x0))
+            with jc.stopwatch.one_core():
+                again = range(1 if taken > LONG else min(3, config.repeats))
+                took = np.array([jc.stopwatch.take(whole) for _ in again]).T
             reached = float(solution.cost) <= best * (1 + np.array(NEAR))
-            times[name] = np.where(reached, np.array(whole), np.nan)
+            times[name] = np.where(reached, took[..., None], np.nan)
         else:
             iterates[name] = first_within(np.asarray(solution.history.cost), best, NEAR)
-            times[name] = np.full((config.repeats, len(NEAR)), np.nan)
+            times[name] = np.full((2, config.repeats, len(NEAR)), np.nan)
             near = np.flatnonzero(~np.isnan(iterates[name]))
             to, us = timed(case, solver), case.problem.nominal_controls
             calls += [partial(to, us, int(iterates[name][i])) for i in near]
             places += [(name, i) for i in near]
-    for (name, i), column in zip(places, in_turns(calls, config.repeats).T, strict=True):
-        times[name][:, i] = column
+    taken = np.array(jc.stopwatch.in_turns(calls, config.repeats))
+    for k, (name, i) in enumerate(places):
+        times[name][:, :, i] = taken[:, :, k]
     return iterates, times
 
 
-def _row(solution: Solution, first: float, iterates: list[float], times: np.ndarray) -> Row:
-    quarter, half, three = np.percentile(times, (25, 50, 75), axis=0)
+def _row(solution: jc.Solution, first: float, iterates: list[float], times: np.ndarray) -> Row:
+    quarter, half, three = np.percentile(times[0], (25, 50, 75), axis=0)
     return Row(
         cost=float(solution.cost),
         status=solution.status.name,
         steps=int(solution.num_steps),
         seconds=half.tolist(),
         spread=((three - quarter) / 2).tolist(),
+        wall=np.median(times[1], axis=0).tolist(),
         iterations=iterates,
         first=first,
     )

@@ -3,7 +3,8 @@
 import numpy as np
 import xarray
 
-from ..analysis import HUMAN_EXPONENT
+import jaxctrl as jc
+
 from ._result import Claim, Result
 from ._two_thirds_figure import FAMILIES, MODELS, pooled
 
@@ -74,12 +75,12 @@ def _text(result: Result, model: str, family: str) -> tuple[str, bool]:
         f"{law.exponent:.3f} ({low:.3f} to {high:.3f}), R^2 {law.r_squared:.2f}; single paths "
         f"{float(single.min()):.2f} to {float(single.max()):.2f}"
     )
-    return text, low <= 1 / 3 <= high or abs(law.exponent - 1 / 3) <= HUMAN_EXPONENT[1]
+    return text, low <= 1 / 3 <= high or abs(law.exponent - 1 / 3) <= jc.analysis.HUMAN_EXPONENT[1]
 
 
 def _law_claim(result: Result, model: str, family: str) -> Claim:
     text, near = _text(result, model, family)
-    data, (human, spread) = result.data, HUMAN_EXPONENT
+    data, (human, spread) = result.data, jc.analysis.HUMAN_EXPONENT
     few = " With so few paths the interval is too short." * (len(_of(data.exponent, family)[0]) < 8)
     return Claim(
         f"The two-thirds power law holds for {family}s under {COSTS[model]}, timing free",

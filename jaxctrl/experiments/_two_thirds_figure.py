@@ -5,8 +5,8 @@ import xarray
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .. import plot
-from ..analysis import HUMAN_EXPONENT, PowerLaw, curvature, power_law
+import jaxctrl as jc
+
 from ._result import Result
 
 MODELS = ("torque", "muscle", "jerk")
@@ -15,13 +15,15 @@ TITLES = {"torque": "torque arm", "muscle": "muscle arm", "jerk": "minimum jerk"
 SHORT = {"torque": "torques", "muscle": "muscles", "jerk": "least jerk"}
 
 
-def law_of(hand: np.ndarray, velocity: np.ndarray, ts: np.ndarray, trim: float) -> PowerLaw:
+def law_of(
+    hand: np.ndarray, velocity: np.ndarray, ts: np.ndarray, trim: float
+) -> jc.analysis.PowerLaw:
     """Fit one law to one record (N, 2), or to several (n, N, 2) with a gain for each."""
-    kappa = curvature(hand, ts, velocities=velocity)
-    return power_law(np.linalg.norm(velocity, axis=-1), kappa, trim=trim)
+    kappa = jc.analysis.curvature(hand, ts, velocities=velocity)
+    return jc.analysis.power_law(np.linalg.norm(velocity, axis=-1), kappa, trim=trim)
 
 
-def pooled(result: Result, model: str, family: str) -> PowerLaw:
+def pooled(result: Result, model: str, family: str) -> jc.analysis.PowerLaw:
     """Fit one exponent to all ellipses or all scribbles of a model."""
     names = [name for name in result.data.curve.values if name.startswith(family)]
     data = result.data.sel(model=model, curve=names)
@@ -34,7 +36,7 @@ def figure(result: Result) -> Figure:
     shown = [
         next(name for name in data.curve.values if name.startswith(family)) for family in FAMILIES
     ]
-    fig, axes = plot.panels(2, 3, size=(10.0, 6.0))
+    fig, axes = jc.plot.panels(2, 3, size=(10.0, 6.0))
     for ax, model, letter in zip(axes[0], MODELS, "ABC", strict=True):
         _scatter(ax, data.sel(model=model), shown, result.config.trim)
         _title(ax, f"{letter}  {TITLES[model]}")
@@ -47,14 +49,14 @@ def figure(result: Result) -> Figure:
 
 
 def _title(ax: Axes, text: str) -> None:
-    with plot.style():
+    with jc.plot.style():
         ax.set_title(text, loc="left")
 
 
 def _paths(ax: Axes, data: xarray.Dataset) -> None:
     """Draw what the muscle arm's hand makes of a given path."""
-    plot.hand_paths(data.hand.sel(model="muscle").values, ax=ax)
-    with plot.style():
+    jc.plot.hand_paths(data.hand.sel(model="muscle").values, ax=ax)
+    with jc.plot.style():
         ax.lines[0].set(label="hand, muscle arm", linewidth=3, alpha=0.5)
         ax.plot(*(100 * data.path.values.T), color="k", lw=0.8, ls="--", label="given")
         if data.curve.item().startswith("ellipse"):  # which leaves room in the middle
@@ -71,10 +73,10 @@ def _scatter(ax: Axes, data: xarray.Dataset, names: list[str], trim: float) -> N
     for name in names:
         hand, velocity = data.hand.sel(curve=name).values, data.velocity.sel(curve=name).values
         laws.append(law_of(hand, velocity, data.time.values, trim))
-        kappa = np.abs(curvature(hand, data.time.values, velocities=velocity))[inside]
+        kappa = np.abs(jc.analysis.curvature(hand, data.time.values, velocities=velocity))[inside]
         radii.append(np.where(kappa > 1, 1 / kappa, np.nan))
         speeds.append(np.linalg.norm(velocity, axis=-1)[inside])
-    plot.power_law(
+    jc.plot.power_law(
         radii,
         speeds,
         exponent=[law.exponent for law in laws],
@@ -82,7 +84,7 @@ def _scatter(ax: Axes, data: xarray.Dataset, names: list[str], trim: float) -> N
         labels=[name.split()[0] for name in names],
         ax=ax,
     )
-    with plot.style():
+    with jc.plot.style():
         low, high = ax.get_ylim()
         ax.set_ylim(low, high * (high / low) ** 0.55)  # room for the legend
         ax.set_yticks([tick for tick in (0.05, 0.1, 0.2, 0.5, 1.0) if low <= tick <= high])
@@ -92,7 +94,7 @@ def _scatter(ax: Axes, data: xarray.Dataset, names: list[str], trim: float) -> N
 def _summary(ax: Axes, result: Result) -> None:
     """Draw each group's exponent with its interval, single paths, and the controls."""
     data, rows = result.data, []
-    with plot.style():
+    with jc.plot.style():
         for family in FAMILIES:
             names = [name for name in data.curve.values if name.startswith(family)]
             for model in MODELS:
@@ -112,7 +114,7 @@ def _summary(ax: Axes, result: Result) -> None:
         rows.append("constant speed")
         mean, sd = data.null.values.mean(), data.null.values.std(ddof=1)
         ax.axvspan(mean - sd, mean + sd, color="0.9", zorder=0, label="noise, mean and SD")
-        ax.axvline(HUMAN_EXPONENT[0], color="C3", lw=1, label="humans, ellipses")
+        ax.axvline(jc.analysis.HUMAN_EXPONENT[0], color="C3", lw=1, label="humans, ellipses")
         ax.set_yticks(range(len(rows)), rows)
         ax.invert_yaxis()
         ax.set_xlabel("exponent of the radius of curvature")

@@ -14,15 +14,9 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from .. import plot
-from .._noise import SignalDependentNoise
-from .._plant import AbstractArm
-from .._simulate import simulate
-from .._solve import solve
-from ..plants import MuscleArm, TorqueArm
-from ..solvers import ILQR
-from ..tasks import centre_out
-from ._result import Claim, Result
+import jaxctrl as jc
+
+from ._result import Claim, Result, named
 
 START = (np.pi / 4, np.pi / 2)
 ARMS = ("torque", "muscle")
@@ -45,12 +39,12 @@ class Config:
     @classmethod
     def quick(cls) -> "Config":
         """Return settings with fewer trials."""
-        return cls(trials=5)
+        return cls(trials=2)
 
 
-def _reach(arm: AbstractArm, x0, config: Config):
+def _reach(arm: jc.AbstractArm, x0, config: Config):
     """Solve for every direction in one batch, and run the noisy trials of each."""
-    problems = centre_out(
+    problems = jc.tasks.centre_out(
         arm,
         x0,
         n=config.directions,
@@ -60,12 +54,12 @@ def _reach(arm: AbstractArm, x0, config: Config):
         velocity_weight=config.velocity_weight,
         effort=config.effort,
     )
-    solutions = jax.vmap(lambda problem: solve(problem, ILQR(), x0))(problems)
+    solutions = jc.solve_batch(problems, jc.ILQR(), x0)
     keys = jax.random.split(jax.random.key(config.seed), (config.directions, config.trials))
-    noise = SignalDependentNoise(config.motor_noise)
+    noise = jc.SignalDependentNoise(config.motor_noise)
 
     def trial(problem, policy, key):
-        return simulate(problem, policy, x0, key=key, noise=noise).xs
+        return jc.simulate(problem, policy, x0, key=key, noise=noise).xs
 
     over_keys = jax.vmap(trial, in_axes=(None, None, 0))
     noisy = jax.vmap(over_keys)(problems, solutions.policy, keys)
@@ -76,7 +70,7 @@ def _reach(arm: AbstractArm, x0, config: Config):
 
 def run(config: Config) -> Result:
     """Reach with both arms; arrays lead with the arm and the direction."""
-    arms = (TorqueArm(), MuscleArm())
+    arms = (jc.plants.TorqueArm(), jc.plants.MuscleArm())
     starts = [arm.at_rest(*START) for arm in arms]
     reaches = [_reach(arm, x0, config) for arm, x0 in zip(arms, starts, strict=True)]
     solutions, paths, speeds, noisy = zip(*reaches, strict=True)
@@ -87,41 +81,37 @@ def run(config: Config) -> Result:
     many = ("arm", "direction")
     data = xarray.Dataset(
         {
-            "hand": ((*many, "time", "axis"), np.stack(paths), _is("hand position", "m")),
-            "speed": ((*many, "time"), np.stack(speeds), _is("hand speed", "m/s")),
+            "hand": ((*many, "time", "axis"), np.stack(paths), named("hand position", "m")),
+            "speed": ((*many, "time"), np.stack(speeds), named("hand speed", "m/s")),
             "noisy": (
                 (*many, "trial", "time", "axis"),
                 np.stack(noisy),
-                _is("hand position in noisy trials", "m"),
+                named("hand position in noisy trials", "m"),
             ),
-            "target": (("direction", "axis"), targets, _is("target", "m")),
+            "target": (("direction", "axis"), targets, named("target", "m")),
             "iterations": (
                 many,
                 np.stack([s.num_steps for s in solutions]),
-                _is("iterations", "1"),
+                named("iterations", "1"),
             ),
             "peak_control": (
                 many,
                 np.stack([np.abs(s.us).max(axis=(1, 2)) for s in solutions]),
-                _is("largest control (N m for torques, excitation for muscles)", "1"),
+                named("largest control (N m for torques, excitation for muscles)", "1"),
             ),
         },
         coords={
             "arm": ("arm", list(ARMS), {"long_name": "arm"}),
-            "direction": ("direction", np.degrees(angles), _is("direction", "degree")),
+            "direction": ("direction", np.degrees(angles), named("direction", "degree")),
             "time": (
                 "time",
                 np.linspace(0, config.duration, config.num_steps + 1),
-                _is("time", "s"),
+                named("time", "s"),
             ),
             "axis": ("axis", ["x", "y"], {"long_name": "axis"}),
         },
     )
     return Result(data, config, "; ".join(failed))
-
-
-def _is(name: str, units: str) -> dict[str, str]:
-    return {"long_name": name, "units": units}
 
 
 def _measures(data: xarray.Dataset, arm: str) -> dict[str, np.ndarray]:
@@ -145,15 +135,15 @@ def figure(result: Result) -> Figure:
     """Draw hand paths with their noisy trials and speed profiles, one row for each arm."""
     data = result.data
     labels = [f"{angle:.0f}°" for angle in data.direction.values]
-    fig, axes = plot.panels(2, 2, size=(8.0, 6.4))
+    fig, axes = jc.plot.panels(2, 2, size=(8.0, 6.4))
     for row, arm in zip(axes, ARMS, strict=True):
-        plot.hand_paths(
+        jc.plot.hand_paths(
             list(data.noisy.sel(arm=arm).values), data.target.values, labels=labels, ax=row[0]
         )
-        plot.speed_profiles(
+        jc.plot.speed_profiles(
             data.time, list(data.speed.sel(arm=arm).values), labels=labels, ax=row[1]
         )
-        with plot.style():
+        with jc.plot.style():
             row[0].set_title(f"{arm}-driven arm, noisy trials", loc="left")
             row[1].set_title(f"{arm}-driven arm, planned", loc="left")
         if row[1].get_legend():

@@ -15,15 +15,9 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from .. import plot
-from .._batch import solve_batch
-from .._status import Reason
-from ..analysis import deviation
-from ..models import AbstractModel, MinimumEnergy, MinimumTorqueChange
-from ..plants import MuscleArm, TorqueArm
-from ..solvers import ILQR
-from ..tasks import reach
-from ._result import Claim, Result
+import jaxctrl as jc
+
+from ._result import Claim, Result, named
 
 MODELS = ("torque", "muscle")
 TITLES = {"torque": "torque change", "muscle": "muscle energy"}
@@ -46,7 +40,7 @@ LEVELS = {"torque": (0.0,), "muscle": (0.02, 0.05, 0.1)}
 AGREE = (0.01, 0.02)
 """How far two starts may differ in cost, as a fraction, and in curvature, to confirm each other."""
 
-NEAR = (int(Reason.NEARLY_CONVERGED), int(Reason.STALLED))
+NEAR = (int(jc.Reason.NEARLY_CONVERGED), int(jc.Reason.STALLED))
 """How a solve may end when another confirms it: the muscles' curves have kinks, in which the
 gradient does not vanish."""
 
@@ -98,15 +92,15 @@ def _starts(config: Config, stride: int) -> tuple[np.ndarray, np.ndarray, np.nda
 def _solve(name: str, config: Config) -> xarray.Dataset:
     """Solve all reaches of a model in one batch, and measure their curvature."""
     muscles = name == "muscle"
-    arm = MuscleArm() if muscles else TorqueArm()
+    arm = jc.plants.MuscleArm() if muscles else jc.plants.TorqueArm()
     where, starts, targets = _starts(config, config.stride if muscles else 1)
 
-    model: AbstractModel = MinimumTorqueChange()  # pyright: ignore[reportCallIssue]
+    model: jc.models.AbstractModel = jc.models.MinimumTorqueChange()  # pyright: ignore[reportCallIssue]
     if muscles:
-        model = MinimumEnergy(config.effort)  # pyright: ignore[reportCallIssue]
+        model = jc.models.MinimumEnergy(config.effort)  # pyright: ignore[reportCallIssue]
 
     def task(target):
-        return reach(arm, target, config.duration, num_steps=config.num_steps)
+        return jc.tasks.reach(arm, target, config.duration, num_steps=config.num_steps)
 
     at = [arm.at_rest(*arm.inverse_kinematics(start)) for start in starts]
     at = jnp.stack([model.start(task(targets[0]), x0) for x0 in at])
@@ -115,7 +109,7 @@ def _solve(name: str, config: Config) -> xarray.Dataset:
     hands, costs = [], []
     for level in LEVELS[name]:
         controls = jnp.full((len(targets), config.num_steps, plant.nu), level)
-        solved = solve_batch(problems, ILQR(), at, controls)
+        solved = jc.solve_batch(problems, jc.ILQR(), at, controls)
         code = np.asarray(solved.status.code)
         usable = np.asarray(solved.status.ok) | (len(LEVELS[name]) > 1) & np.isin(code, NEAR)
         hands.append(np.asarray(jax.vmap(jax.vmap(plant.hand))(solved.xs)))
@@ -128,7 +122,7 @@ def _measured(where, starts, targets, hands, costs, config: Config) -> xarray.Da
 
     With several starts one counts as solved where another agrees with it.
     """
-    strays = deviation(hands) / config.distance
+    strays = jc.analysis.deviation(hands) / config.distance
     lane, cheapest = np.arange(len(starts)), costs.argmin(axis=0)
     hand, stray, least = hands[cheapest, lane], strays[cheapest, lane], costs[cheapest, lane]
     alike = (costs <= (1 + AGREE[0]) * least) & (np.abs(strays - stray) <= AGREE[1])
@@ -136,31 +130,27 @@ def _measured(where, starts, targets, hands, costs, config: Config) -> xarray.Da
     error = np.linalg.norm(hand[:, -1] - targets, axis=1)
     return xarray.Dataset(
         {
-            "start": (("reach", "axis"), starts, _is("start of the hand", "m")),
-            "target": (("reach", "axis"), targets, _is("target", "m")),
-            "cell": (("reach", "index"), where, _is("column, row and direction", "1")),
-            "hand": (("reach", "time", "axis"), hand, _is("hand position", "m")),
+            "start": (("reach", "axis"), starts, named("start of the hand", "m")),
+            "target": (("reach", "axis"), targets, named("target", "m")),
+            "cell": (("reach", "index"), where, named("column, row and direction", "1")),
+            "hand": (("reach", "time", "axis"), hand, named("hand position", "m")),
             "curvature": (
                 "reach",
                 stray,
-                _is("deviation to the left of the straight line, over its length", "1"),
+                named("deviation to the left of the straight line, over its length", "1"),
             ),
-            "error": ("reach", error, _is("distance from the target at the end", "m")),
-            "solved": ("reach", solved, _is("whether it is solved, and confirmed", "1")),
+            "error": ("reach", error, named("distance from the target at the end", "m")),
+            "solved": ("reach", solved, named("whether it is solved, and confirmed", "1")),
         },
         coords={
             "time": (
                 "time",
                 np.linspace(0, config.duration, config.num_steps + 1),
-                _is("time", "s"),
+                named("time", "s"),
             ),
             "axis": ("axis", ["x", "y"], {"long_name": "axis"}),
         },
     )
-
-
-def _is(name: str, units: str) -> dict[str, str]:
-    return {"long_name": name, "units": units}
 
 
 def run(config: Config) -> Result:
@@ -205,20 +195,20 @@ def figure(result: Result) -> Figure:
     Each row has one scale. Grey: out of reach, or not solved.
     """
     columns = len(DIRECTIONS) + 1
-    fig, axes = plot.panels(len(MODELS), columns, size=(13.0, 4.6))
+    fig, axes = jc.plot.panels(len(MODELS), columns, size=(13.0, 4.6))
     for row, name in zip(axes, MODELS, strict=True):
         grids = [_grid(result, name, k) for k in range(len(DIRECTIONS))]
         largest = max(np.nanmax(np.abs(values)) for _, _, values in grids)
         for ax, (x, y, values), word in zip(row, grids, DIRECTIONS.values(), strict=False):
             label = f"{TITLES[name]}, {word}"
-            plot.workspace_map(x, y, values, label=label, unit="", diverging=True, ax=ax)
+            jc.plot.workspace_map(x, y, values, label=label, unit="", diverging=True, ax=ax)
             ax.collections[0].set_clim(-largest, largest)
         stack = np.abs([values for _, _, values in grids])
         counted = np.isfinite(stack).sum(axis=0)
         mean = np.nansum(stack, axis=0) / np.where(counted > 0, counted, np.nan)
         x, y, _ = grids[0]
         label = f"{TITLES[name]}, magnitude"
-        plot.workspace_map(x, y, mean, label=label, unit="", ax=row[-1])
+        jc.plot.workspace_map(x, y, mean, label=label, unit="", ax=row[-1])
     return fig
 
 

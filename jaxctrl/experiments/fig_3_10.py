@@ -12,9 +12,19 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from .. import analysis
-from ..plants import MuscleArm
-from ._planned import Movement, dataset, draw, failures, milliseconds, passed, plan, profiles
+import jaxctrl as jc
+
+from ._planned import (
+    Movement,
+    MovementConfig,
+    dataset,
+    draw,
+    failures,
+    milliseconds,
+    passed,
+    plan,
+    profiles,
+)
 from ._result import Claim, Result
 
 START, TARGET, POINT = np.array([[-0.2, 0.42], [0.2, 0.42], [0.0, 0.58]])
@@ -24,27 +34,29 @@ FIGURES = {"torque change": "3.10", "energy": "3.11"}
 
 
 @dataclass(frozen=True)
-class Config:
-    """Settings: duration [s], steps, random starts, iterations, seed."""
+class Config(MovementConfig):
+    """Settings: those of a movement, and how many `further` passing times are tried than are
+    drawn, 6 at most.
+    """
 
-    duration: float = 0.5
-    num_steps: int = 50
-    restarts: int = 2
-    max_steps: int = 600
-    seed: int = 0
+    further: int = len(FURTHER)
 
     @classmethod
     def quick(cls) -> "Config":
-        """Return settings with one random start instead of two."""
-        return cls(restarts=1)
+        """Return settings for fewer and slower movements, coarser and without random starts."""
+        return cls(duration=0.6, num_steps=25, restarts=0, further=1)
+
+    def __post_init__(self):
+        if not 0 <= self.further <= len(FURTHER):
+            raise ValueError(f"further: 0 to {len(FURTHER)} are wanted, got {self.further}")
 
 
 def run(config: Config) -> Result:
     """Plan a movement for each passing time under both models."""
-    times = DRAWN + FURTHER
+    times = DRAWN + FURTHER[: config.further]
     movements = [Movement(START, TARGET, POINT, time) for time in times]
     labels = [f"{1e3 * time:.0f} ms" for time in times]
-    planned = plan(MuscleArm(), movements, config)
+    planned = plan(jc.plants.MuscleArm(), movements, config)
     data = dataset(planned, labels, movements, config)
     return Result(data, config, failures(planned, labels))
 
@@ -70,12 +82,12 @@ def claims(result: Result) -> list[Claim]:
     return found
 
 
-def _deepest(profile: analysis.SpeedProfile) -> int | None:
+def _deepest(profile: jc.analysis.SpeedProfile) -> int | None:
     """Return the index of the deepest valley, or None without one."""
     return int(np.argmax(profile.valley_depth)) if len(profile.valley_depth) else None
 
 
-def _first_peak(model: str, source: str, speeds: list[analysis.SpeedProfile]) -> Claim:
+def _first_peak(model: str, source: str, speeds: list[jc.analysis.SpeedProfile]) -> Claim:
     first = [float(profile.peak_speeds[0]) for profile in speeds]
     return Claim(
         f"The earliest passing has the highest first peak ({model})",
@@ -87,7 +99,7 @@ def _first_peak(model: str, source: str, speeds: list[analysis.SpeedProfile]) ->
     )
 
 
-def _order(model: str, source: str, speeds: list[analysis.SpeedProfile]) -> Claim:
+def _order(model: str, source: str, speeds: list[jc.analysis.SpeedProfile]) -> Claim:
     valleys = [_deepest(profile) for profile in speeds]
     times = [
         np.nan if i is None else float(profile.valley_times[i])
@@ -104,14 +116,14 @@ def _order(model: str, source: str, speeds: list[analysis.SpeedProfile]) -> Clai
 
 
 def _curvature(
-    model: str, source: str, data: xarray.Dataset, speeds: list[analysis.SpeedProfile]
+    model: str, source: str, data: xarray.Dataset, speeds: list[jc.analysis.SpeedProfile]
 ) -> list[Claim]:
     """Judge whether valleys of the speed and peaks of the curvature go together."""
     gaps, heights, depths, ts = [], [], [], data.time.values
-    curvatures = analysis.curvature(data.hand, ts, velocities=data.velocity)
+    curvatures = jc.analysis.curvature(data.hand, ts, velocities=data.velocity)
     for profile, speed, curvature in zip(speeds, data.speed.values, curvatures, strict=True):
         valley = _deepest(profile)
-        bends = analysis.curvature_peaks(ts, curvature, speed)
+        bends = jc.analysis.curvature_peaks(ts, curvature, speed)
         if valley is None or not len(bends.times):
             continue
         nearest = int(np.argmin(np.abs(bends.times - profile.valley_times[valley])))
@@ -146,7 +158,7 @@ def _first_part(model: str, source: str, data: xarray.Dataset) -> Claim:
     for i, passing in enumerate(DRAWN):
         path = data.hand.values[i][data.time.values <= passing + 1e-9]
         chord = np.linalg.norm(path[-1] - path[0])
-        bends.append(abs(float(analysis.deviation(path))) / chord)
+        bends.append(abs(float(jc.analysis.deviation(path))) / chord)
     return Claim(
         f"The earliest passing has the straightest first part ({model})",
         source,

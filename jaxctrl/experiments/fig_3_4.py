@@ -12,10 +12,10 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from .. import analysis, plot
-from ..plants import MuscleArm, TorqueArm
-from ._planned import Movement, dataset, failures, least_jerk, named, plan, profiles
-from ._result import Claim, Result
+import jaxctrl as jc
+
+from ._planned import Movement, MovementConfig, dataset, failures, least_jerk, plan, profiles
+from ._result import Claim, Result, named
 
 TARGETS = np.array([[-0.01, 0.44], [-0.055, 0.385], [0.0, 0.31], [0.06, 0.38], [0.045, 0.43]])
 PAIRS = [(1, 3), (4, 2), (4, 3), (5, 2), (5, 3)]
@@ -24,18 +24,12 @@ FIGURES = {"torque change": "3.4", "energy": "3.5"}
 
 
 @dataclass(frozen=True)
-class Config:
-    """Settings: duration [s], time steps, random starts of each movement, iterations, seed."""
-
-    duration: float = 0.5
-    num_steps: int = 50
-    restarts: int = 2
-    max_steps: int = 600
-    seed: int = 0
+class Config(MovementConfig):
+    """Settings: those of every planned movement."""
 
     @classmethod
     def quick(cls) -> "Config":
-        """Return settings without random starts and with fewer time steps."""
+        """Return settings with fewer time steps and without random starts."""
         return cls(num_steps=25, restarts=0)
 
 
@@ -43,7 +37,9 @@ def run(config: Config) -> Result:
     """Plan all movements of both arms; those of least jerk in closed form."""
     movements = [Movement(TARGETS[i - 1], TARGETS[j - 1]) for i, j in FROM_TO]
     labels = [f"T{i} to T{j}" for i, j in FROM_TO]
-    muscle, torque = (plan(arm, movements, config) for arm in (MuscleArm(), TorqueArm()))
+    muscle, torque = (
+        plan(arm, movements, config) for arm in (jc.plants.MuscleArm(), jc.plants.TorqueArm())
+    )
     data = dataset(muscle, labels, movements, config)
     ts = data.time.values
     jerk = [np.asarray(least_jerk(one, ts).position) for one in movements]
@@ -66,29 +62,29 @@ def _distances(found, jerk) -> np.ndarray:
     change, energy = ([one.hand for one in found[model]] for model in FIGURES)
     pairs = (zip(change, energy, strict=True), zip(change, jerk, strict=True))
     return np.array(
-        [[analysis.path_distance(a, b) for a, b in pair] for pair in pairs]
-        + [[analysis.path_distance(a, b) for a, b in zip(energy, jerk, strict=True)]]
+        [[jc.analysis.path_distance(a, b) for a, b in pair] for pair in pairs]
+        + [[jc.analysis.path_distance(a, b) for a, b in zip(energy, jerk, strict=True)]]
     )
 
 
 def figure(result: Result) -> Figure:
     """Draw paths and speed profiles, one row for each model."""
     data = result.data
-    fig, axes = plot.panels(2, 2, size=(7.5, 6.4))
+    fig, axes = jc.plot.panels(2, 2, size=(7.5, 6.4))
     labels = [str(label) for label in data.movement.values]
     for row, (model, number) in zip(axes, FIGURES.items(), strict=True):
-        plot.hand_paths(
+        jc.plot.hand_paths(
             list(data.hand.sel(model=model).values), TARGETS, labels=labels, starts=[], ax=row[0]
         )
         for name, place in zip("12345", TARGETS, strict=True):
             row[0].annotate(
                 f"T{name}", 100 * place, xytext=(6, 5), textcoords="offset points", fontsize=7
             )
-        plot.speed_profiles(
+        jc.plot.speed_profiles(
             data.time, list(data.speed.sel(model=model).values), labels=labels, ax=row[1]
         )
         row[1].get_legend().remove()
-        with plot.style():
+        with jc.plot.style():
             row[0].set_title(f"{number}  minimum {model}", loc="left")
     return fig
 
@@ -101,7 +97,7 @@ def claims(result: Result) -> list[Claim]:
         source = f"Li (2006), fig. {number}"
         single = [len(profile.peak_times) == 1 for profile in profiles(data, model)]
         hand, speed = data.hand.sel(model=model).values, data.speed.sel(model=model).values
-        bend = np.abs(analysis.deviation(hand)) / length
+        bend = np.abs(jc.analysis.deviation(hand)) / length
         spread = data.spread.sel(model=model).values
         found += [
             Claim(

@@ -10,10 +10,11 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from .. import analysis
-from ..plants import MuscleArm
+import jaxctrl as jc
+
 from ._planned import (
     Movement,
+    MovementConfig,
     dataset,
     draw,
     failures,
@@ -30,26 +31,21 @@ FIGURES = {"torque change": "3.6", "energy": "3.7"}
 
 
 @dataclass(frozen=True)
-class Config:
-    """Settings: duration, passing time [s], steps, random starts, iterations, seed."""
+class Config(MovementConfig):
+    """Settings: those of a movement, and the time [s] at which the via-point is passed."""
 
-    duration: float = 0.5
     passing: float = 0.25
-    num_steps: int = 50
-    restarts: int = 2
-    max_steps: int = 600
-    seed: int = 0
 
     @classmethod
     def quick(cls) -> "Config":
-        """Return settings with one random start instead of two."""
-        return cls(restarts=1)
+        """Return settings with fewer time steps and without random starts."""
+        return cls(num_steps=25, restarts=0)
 
 
 def run(config: Config) -> Result:
     """Plan both movements under both models."""
     movements = [Movement(START, TARGET, point, config.passing) for point in POINTS]
-    planned, labels = plan(MuscleArm(), movements, config), ["P1", "P2"]
+    planned, labels = plan(jc.plants.MuscleArm(), movements, config), ["P1", "P2"]
     data = dataset(planned, labels, movements, config)
     return Result(data, config, failures(planned, labels))
 
@@ -70,7 +66,7 @@ def claims(result: Result) -> list[Claim]:
         found.append(_valley(model, source, speeds, result.config.passing))
         found.append(_sides(model, source, data))
         mirrored = data.hand.values[1] * [1, -1] + [0, 2 * START[1]]
-        apart = 1e3 * analysis.path_distance(data.hand.values[0], mirrored)
+        apart = 1e3 * jc.analysis.path_distance(data.hand.values[0], mirrored)
         found.append(
             Claim(
                 f"The two paths are no mirror images under minimum {model}",
@@ -89,7 +85,7 @@ NOT_FAR = (
 )
 
 
-def _two_peaks(model: str, source: str, speeds: list[analysis.SpeedProfile]) -> Claim:
+def _two_peaks(model: str, source: str, speeds: list[jc.analysis.SpeedProfile]) -> Claim:
     counts = [len(profile.peak_times) for profile in speeds]
     return Claim(
         f"The speed has two peaks under minimum {model}",
@@ -101,7 +97,9 @@ def _two_peaks(model: str, source: str, speeds: list[analysis.SpeedProfile]) -> 
     )
 
 
-def _valley(model: str, source: str, speeds: list[analysis.SpeedProfile], passing: float) -> Claim:
+def _valley(
+    model: str, source: str, speeds: list[jc.analysis.SpeedProfile], passing: float
+) -> Claim:
     times = [
         float(profile.valley_times[np.argmin(profile.valley_speeds)])
         if len(profile.valley_times)
@@ -119,7 +117,7 @@ def _valley(model: str, source: str, speeds: list[analysis.SpeedProfile], passin
 
 
 def _sides(model: str, source: str, data: xarray.Dataset) -> Claim:
-    aside = 1e3 * np.array([float(analysis.deviation(hand)) for hand in data.hand.values])
+    aside = 1e3 * np.array([float(jc.analysis.deviation(hand)) for hand in data.hand.values])
     return Claim(
         f"P1's path is convex, P2's concave, under minimum {model}",
         source,

@@ -10,20 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from .. import analysis
-from ..plants import MuscleArm
+import jaxctrl as jc
+
 from ._planned import (
     Movement,
+    MovementConfig,
     dataset,
     draw,
     failures,
     least_jerk,
-    named,
     passed,
     plan,
     profiles,
 )
-from ._result import Claim, Result
+from ._result import Claim, Result, named
 
 START, TARGET = np.array([-0.2, 0.42]), np.array([0.2, 0.42])
 DRAWN = (0.45, 0.52, 0.58)
@@ -32,28 +32,30 @@ FIGURES = {"torque change": "3.8", "energy": "3.9"}
 
 
 @dataclass(frozen=True)
-class Config:
-    """Settings: duration, passing time [s], steps, random starts, iterations, seed."""
+class Config(MovementConfig):
+    """Settings: those of a movement, the time [s] at which the via-point is passed, and how many
+    `further` via-points are tried than are drawn, 5 at most.
+    """
 
-    duration: float = 0.5
     passing: float = 0.25
-    num_steps: int = 50
-    restarts: int = 2
-    max_steps: int = 600
-    seed: int = 0
+    further: int = len(FURTHER)
 
     @classmethod
     def quick(cls) -> "Config":
-        """Return settings with one random start instead of two."""
-        return cls(restarts=1)
+        """Return settings for fewer and slower movements, coarser and without random starts."""
+        return cls(duration=0.6, num_steps=25, restarts=0, further=1)
+
+    def __post_init__(self):
+        if not 0 <= self.further <= len(FURTHER):
+            raise ValueError(f"further: 0 to {len(FURTHER)} are wanted, got {self.further}")
 
 
 def run(config: Config) -> Result:
     """Plan the movements under both models."""
-    heights = DRAWN + FURTHER
+    heights = DRAWN + FURTHER[: config.further]
     movements = [Movement(START, TARGET, np.array([0.0, y]), config.passing) for y in heights]
-    labels = ["P0", "P1", "P2", *(f"y = {y} m" for y in FURTHER)]
-    planned = plan(MuscleArm(), movements, config)
+    labels = ["P0", "P1", "P2", *(f"y = {y} m" for y in heights[len(DRAWN) :])]
+    planned = plan(jc.plants.MuscleArm(), movements, config)
     data = dataset(planned, labels, movements, config)
     jerk = [least_jerk(movement, data.time.values).velocity for movement in movements]
     speed = np.linalg.norm(jerk, axis=-1)
@@ -69,18 +71,18 @@ def figure(result: Result) -> Figure:
 def claims(result: Result) -> list[Claim]:
     """Compare with what the thesis says of these figures."""
     found, ts = [], result.data.time.values
-    jerk = [analysis.speed_peaks(ts, speed) for speed in result.data.jerk.values]
+    jerk = [jc.analysis.speed_peaks(ts, speed) for speed in result.data.jerk.values]
     for model, number in FIGURES.items():
         source, speeds = f"Li (2006), fig. {number}", profiles(result.data, model)
         found += [
             passed(result.data, model, source),
             _counts(model, source, speeds, jerk),
-            *_with_distance(model, source, speeds, jerk),
+            *_with_distance(model, source, speeds, jerk, result.data.point.values[:, 1] - START[1]),
         ]
     return found
 
 
-Profiles = list[analysis.SpeedProfile]
+Profiles = list[jc.analysis.SpeedProfile]
 
 
 def _counts(model: str, source: str, speeds: Profiles, jerk: Profiles) -> Claim:
@@ -98,9 +100,10 @@ def _counts(model: str, source: str, speeds: Profiles, jerk: Profiles) -> Claim:
     )
 
 
-def _with_distance(model: str, source: str, speeds: Profiles, jerk: Profiles) -> list[Claim]:
+def _with_distance(
+    model: str, source: str, speeds: Profiles, jerk: Profiles, aside: np.ndarray
+) -> list[Claim]:
     """Judge how the second peak appears and the valley deepens with the distance."""
-    aside = np.array(DRAWN + FURTHER) - START[1]
     order = np.argsort(aside)
     double, jerky = (
         np.array([len(those[i].peak_times) > 1 for i in order]) for those in (speeds, jerk)

@@ -15,13 +15,9 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from .. import plot
-from .._problem import Problem
-from .._solve import solve
-from ..plants import MuscleArm, Pendulum, TorqueArm
-from ..solvers import ILQR
-from ..tasks import posture, swing_up
-from ._result import Claim, Result
+import jaxctrl as jc
+
+from ._result import Claim, Result, named
 
 TARGET = np.array([1.0, 1.5])
 START = (1.5, 1.5)
@@ -40,37 +36,40 @@ class Config:
     @classmethod
     def quick(cls) -> "Config":
         """Return settings with a coarser time step."""
-        return cls(num_steps=50)
+        return cls(num_steps=20)
 
 
 def run(config: Config) -> Result:
     """Solve the five problems; arrays lead with the arm, or the pendulum's start, then time."""
-    arms, statuses, angles = (TorqueArm(), MuscleArm()), [], []
+    arms, statuses, angles = (jc.plants.TorqueArm(), jc.plants.MuscleArm()), [], []
     for arm in arms:
-        problem = posture(
+        problem = jc.tasks.posture(
             arm, TARGET, config.duration, num_steps=config.num_steps, effort=config.effort
         )
-        solution = solve(problem, ILQR(), arm.at_rest(*START))
+        solution = jc.solve(problem, jc.ILQR(), arm.at_rest(*START))
         statuses.append(solution.status)
         angles.append(solution.xs[:, :2])
-    pendulum = swing_up(
-        Pendulum(), config.duration, num_steps=config.num_steps, effort=config.pendulum_effort
+    pendulum = jc.tasks.swing_up(
+        jc.plants.Pendulum(),
+        config.duration,
+        num_steps=config.num_steps,
+        effort=config.pendulum_effort,
     )
     starts = jnp.stack([jnp.array(STARTS), jnp.zeros(3)], axis=1)
-    swings = jax.vmap(lambda x0: solve(pendulum, ILQR(), x0))(starts)
+    swings = jax.vmap(lambda x0: jc.solve(pendulum, jc.ILQR(), x0))(starts)
     statuses.append(swings.status)
     failed = [status.message for status in statuses if not bool(status.ok.all())]
     data = xarray.Dataset(
         {
-            "angles": (("arm", "time", "joint"), np.stack(angles), _is("joint angle", "rad")),
+            "angles": (("arm", "time", "joint"), np.stack(angles), named("joint angle", "rad")),
             "pendulum": (
                 ("start", "time", "state"),
                 np.asarray(swings.xs),
-                _is("angle from upright and its rate", "rad, rad/s"),
+                named("angle from upright and its rate", "rad, rad/s"),
             ),
         },
         coords={
-            "time": ("time", _times(pendulum), _is("time", "s")),
+            "time": ("time", _times(pendulum), named("time", "s")),
             "arm": ("arm", ["torque", "muscle"], {"long_name": "arm"}),
             "joint": ("joint", ["shoulder", "elbow"], {"long_name": "joint"}),
             "start": ("start", ["S1", "S2", "S3"], {"long_name": "start of the pendulum"}),
@@ -80,20 +79,16 @@ def run(config: Config) -> Result:
     return Result(data, config, "; ".join(failed))
 
 
-def _is(name: str, units: str) -> dict[str, str]:
-    return {"long_name": name, "units": units}
-
-
-def _times(problem: Problem) -> np.ndarray:
+def _times(problem: jc.Problem) -> np.ndarray:
     return np.asarray(problem.ts)
 
 
 def figure(result: Result) -> Figure:
     """Draw joint angles of both arms over time, and the pendulum in its phase plane."""
     data = result.data
-    fig, axes = plot.panels(1, 3, size=(10.0, 3.0))
+    fig, axes = jc.plot.panels(1, 3, size=(10.0, 3.0))
     for ax, arm, title in zip(axes[0], ("torque", "muscle"), ("A  torques", "B  six muscles")):  # noqa: B905
-        plot.trajectories(
+        jc.plot.trajectories(
             data.time,
             data.angles.sel(arm=arm),
             names=["shoulder", "elbow"],
@@ -102,12 +97,12 @@ def figure(result: Result) -> Figure:
             ax=ax,
         )
         ax.set_ylabel("joint angle [rad]")
-        with plot.style():
+        with jc.plot.style():
             ax.set_title(title, loc="left")
-    plot.phase(
+    jc.plot.phase(
         list(data.pendulum.values), labels=list(data.start.values), target=(0, 0), ax=axes[0, 2]
     )
-    with plot.style():
+    with jc.plot.style():
         axes[0, 2].set_title("C  pendulum", loc="left")
     return fig
 

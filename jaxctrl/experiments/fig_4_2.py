@@ -14,11 +14,9 @@ import numpy as np
 import xarray
 from matplotlib.figure import Figure
 
-from .. import plot
-from .._solve import solve
-from ..plants import MuscleArm
-from ..solvers import ILQR
-from ..tasks import posture
+import jaxctrl as jc
+
+from ._chapter_4 import Case, paths_of
 from ._result import Claim, Result
 
 TARGET = np.array([1.0, 1.5])
@@ -39,31 +37,27 @@ class Config:
     @classmethod
     def quick(cls) -> "Config":
         """Return settings with a coarser time step."""
-        return cls(num_steps=50)
+        return cls(num_steps=20)
 
 
 def run(config: Config) -> Result:
-    """Iterate by hand through the solver's own steps, keeping each path."""
-    arm, solver = MuscleArm(), ILQR()
-    problem = posture(
+    """Solve, and keep the path of each of the first iterations."""
+    arm = jc.plants.MuscleArm()
+    problem = jc.tasks.posture(
         arm, TARGET, config.duration, num_steps=config.num_steps, effort=config.effort
     )
     x0 = arm.at_rest(*START)
     levels = config.amplitude * jax.random.uniform(jax.random.key(config.seed), (arm.nu,))
     us = jnp.broadcast_to(levels, (config.num_steps, arm.nu))
-    solution = solve(problem, solver, x0, us)
-    step = jax.jit(lambda state: solver.step(problem, state))
-    state, paths = solver.init(problem, x0, us), []
-    for _ in range(SHOWN):
-        state = step(state)
-        paths.append(np.asarray(state.xs[:, :2]))
+    solution = jc.solve(problem, jc.ILQR(), x0, us)
+    paths = paths_of(Case(problem, x0), us[None], tuple(range(SHOWN)))[:, 0]
     count = int(solution.num_steps) + 1
     failure = "" if bool(solution.status.ok) else solution.status.message
     data = xarray.Dataset(
         {
             "angles": (
                 ("iteration", "time", "joint"),
-                np.stack(paths),
+                np.asarray(paths),
                 {"long_name": "joint angle", "units": "rad"},
             ),
             "final": (
@@ -88,8 +82,8 @@ def run(config: Config) -> Result:
 def figure(result: Result) -> Figure:
     """Draw elbow against shoulder for the first iterations, and the fall of the cost."""
     data = result.data
-    fig, axes = plot.panels(1, 2, size=(8.0, 3.4))
-    plot.joint_paths(data.angles.values, target=TARGET, ax=axes[0, 0])
+    fig, axes = jc.plot.panels(1, 2, size=(8.0, 3.4))
+    jc.plot.joint_paths(data.angles.values, target=TARGET, ax=axes[0, 0])
     ax = axes[0, 1]
     above = data.cost.values[:-1] - data.cost.values[-1]
     ax.semilogy(np.arange(above.size), above)

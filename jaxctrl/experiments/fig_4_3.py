@@ -2,8 +2,9 @@
 
 A: from one start, the nominal control; B: from 8 random controls, smooth in time, U[0, 0.3] at
 each. The thesis's caption says iterations and its axes CPU time; drawn is the time. It does not
-state its 8 initial conditions: here they are initial controls. Times are warm medians, each from
-the start to an iterate, of solves that follow one another inside one compiled call.
+state its 8 initial conditions: here they are initial controls. Times are warm medians of
+processor time on one core, each from the start to an iterate, of solves that follow one another
+inside one compiled call.
 """
 
 from dataclasses import dataclass
@@ -15,13 +16,12 @@ import xarray
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .. import plot
-from .._batch import solve_batch
-from ..solvers import DDP, ILQR, ConjugateGradient
-from ._chapter_4 import Case, arm_case, in_turns, random_controls, timed
-from ._result import Claim, Result
+import jaxctrl as jc
 
-METHODS = {"ILQR": ILQR, "DDP": DDP, "CG": ConjugateGradient}
+from ._chapter_4 import Case, arm_case, random_controls, timed
+from ._result import Claim, Result, named
+
+METHODS = {"ILQR": jc.ILQR, "DDP": jc.DDP, "CG": jc.ConjugateGradient}
 AMPLITUDE = 0.3
 SOON = 2.0
 """Curves are compared where ILQR is within this factor of the best cost."""
@@ -42,7 +42,7 @@ class Config:
     @classmethod
     def quick(cls) -> "Config":
         """Return settings with few starts, a coarse time step and little patience."""
-        return cls(num_steps=25, starts=2, max_steps=100, points=8, repeats=3)
+        return cls(num_steps=20, starts=2, max_steps=60, points=6, repeats=2)
 
 
 def run(config: Config) -> Result:
@@ -55,36 +55,34 @@ def run(config: Config) -> Result:
     dims = ("solver", "start", "point")
     data = xarray.Dataset(
         {
-            "seconds": (dims, curves[..., 0], _is("warm time from the start", "s") | missing),
-            "cost": (dims, curves[..., 1], _is("cost of the iterate", "1") | missing),
-            "iterate": (dims, curves[..., 2], _is("number of the iterate", "1") | missing),
+            "seconds": (
+                dims,
+                curves[..., 0],
+                named("warm processor time from the start", "s") | missing,
+            ),
+            "cost": (dims, curves[..., 1], named("cost of the iterate", "1") | missing),
+            "iterate": (dims, curves[..., 2], named("number of the iterate", "1") | missing),
         },
         coords={
             "solver": ("solver", list(METHODS), {"long_name": "solver"}),
-            "start": ("start", np.arange(len(uss)), _is("start, 0 the nominal control", "1")),
+            "start": ("start", np.arange(len(uss)), named("start, 0 the nominal control", "1")),
         },
     )
     return Result(data, config)
 
 
-def _is(name: str, units: str) -> dict[str, str]:
-    return {"long_name": name, "units": units}
-
-
 def _curves(case: Case, method, uss, config: Config) -> np.ndarray:
     """Return time, cost and number of some iterates from each start, (start, point, 3)."""
-    solver = method()
-    found = solve_batch(case.problem, solver, case.x0, uss, max_steps=config.max_steps)
-    curves, to = np.full((len(uss), config.points, 3), np.nan), timed(case, solver)
+    curves, to = np.full((len(uss), config.points, 3), np.nan), timed(case, method())
     for lane, us in enumerate(uss):
-        count = int(found.num_steps[lane])
+        count = int(to(us, config.max_steps, 1)[1])
         spaced = np.geomspace(1, max(count, 1), config.points - 1).round()
         iterates = np.unique(np.concatenate([[0.0], spaced]))
         calls = [partial(to, us, int(i)) for i in iterates]
-        taken = np.median(in_turns(calls, config.repeats), axis=0)
+        taken = np.median(jc.stopwatch.in_turns(calls, config.repeats).cpu, axis=0)
         # Each iterate is timed by itself; none is reached before an earlier one.
         taken = np.maximum.accumulate(taken)
-        cost = np.asarray(found.history.cost[lane])[iterates.astype(int)]
+        cost = [float(to(us, int(i), 1)[0]) for i in iterates]
         curves[lane, : iterates.size] = np.stack([taken, cost, iterates], axis=1)
     return curves
 
@@ -92,13 +90,13 @@ def _curves(case: Case, method, uss, config: Config) -> np.ndarray:
 def figure(result: Result) -> Figure:
     """Draw cost against time, from the nominal control and from the random ones."""
     data = result.data
-    fig, axes = plot.panels(1, 2, size=(7.2, 3.0))
+    fig, axes = jc.plot.panels(1, 2, size=(7.2, 3.0))
     titles = ("A  nominal start", f"B  {data.sizes['start'] - 1} random starts")
     for ax, lanes, title in zip(axes[0], (slice(1), slice(1, None)), titles, strict=True):
-        with plot.style():
+        with jc.plot.style():
             _draw(ax, data.isel(start=lanes))
             ax.set_title(title, loc="left")
-    with plot.style():
+    with jc.plot.style():
         axes[0, 0].set_ylabel("cost [1]")
         axes[0, 1].legend()
     return fig

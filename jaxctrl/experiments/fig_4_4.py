@@ -11,8 +11,6 @@ lie close together: with muscles they do, and two tolerances are shown, 1e-2 and
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray
@@ -20,12 +18,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from .. import plot
-from .._batch import solve_batch
-from .._solution import Solution
-from ..solvers import DDP, ILQR, AbstractSolver
-from ._chapter_4 import START, TARGET, Case, arm_case, random_controls
-from ._result import Claim, Result
+import jaxctrl as jc
+
+from ._chapter_4 import START, TARGET, Case, arm_case, paths_of, random_controls, timed
+from ._result import Claim, Result, named
 
 AMPLITUDES = {"torque": (0.1, 0.3, 1.0, 3.0, 5.0, 10.0), "muscle": (0.03, 0.1, 0.3, 0.5, 0.7, 1.0)}
 REFERENCE = 2
@@ -47,7 +43,7 @@ class Config:
     @classmethod
     def quick(cls) -> "Config":
         """Return settings with few starts and a coarser time step."""
-        return cls(starts=4, num_steps=25, max_steps=300)
+        return cls(starts=3, num_steps=20, max_steps=100)
 
 
 class _Cloud(NamedTuple):
@@ -74,27 +70,27 @@ def run(config: Config) -> Result:
             "excess": (
                 ("arm", "level", "start"),
                 np.stack([cloud.cost / cloud.best - 1 for cloud in clouds.values()]),
-                _is("last cost above the best one, relatively", "1"),
+                named("last cost above the best one, relatively", "1"),
             ),
             "ok": (
                 ("arm", "level", "start"),
                 np.stack([cloud.ok for cloud in clouds.values()]),
-                _is("whether the solver converged", "1"),
+                named("whether the solver converged", "1"),
             ),
             "best": (
                 "arm",
                 np.array([cloud.best for cloud in clouds.values()]),
-                _is("lowest cost found from any start", "1"),
+                named("lowest cost found from any start", "1"),
             ),
             "paths": (
                 ("arm", "iteration", "start", "time", "joint"),
                 np.stack([cloud.paths for cloud in clouds.values()]),
-                _is("joint angles", "rad"),
+                named("joint angles", "rad"),
             ),
             "amplitude": (
                 ("arm", "level"),
                 np.array(list(AMPLITUDES.values())),
-                _is("amplitude of the starts", "N m; 1"),
+                named("amplitude of the starts", "N m; 1"),
             ),
         },
         coords={
@@ -110,43 +106,23 @@ def run(config: Config) -> Result:
     return Result(data, config)
 
 
-def _is(name: str, units: str) -> dict[str, str]:
-    return {"long_name": name, "units": units}
-
-
 def _cloud(case: Case, amplitudes: tuple[float, ...], config: Config) -> _Cloud:
-    def solved(us, solver: AbstractSolver) -> Solution:
-        return solve_batch(case.problem, solver, case.x0, us, max_steps=config.max_steps)
-
     starts = [
         jnp.asarray(random_controls(case, config.starts, amplitude, config.seed))
         for amplitude in amplitudes
     ]
-    found = [solved(us, ILQR()) for us in starts]
+    found = [
+        jc.solve_batch(case.problem, jc.ILQR(), case.x0, us, max_steps=config.max_steps)
+        for us in starts
+    ]
     cost = np.stack([np.asarray(each.cost) for each in found])
     ok = np.stack([np.asarray(each.status.ok) for each in found])
     level, lane = np.unravel_index(np.argmin(np.where(ok, cost, np.inf)), cost.shape)
-    polished = solved(found[level].us[lane][None], DDP())
-    best = float(min(cost[level, lane], polished.cost[0]))
+    polished, _ = timed(case, jc.DDP())(found[level].us[lane], config.max_steps, 1)
+    best = float(min(cost[level, lane], polished))
     ends = [np.asarray(each.xs)[None, ..., :2] for each in (found[REFERENCE], found[-1])]
-    paths = np.concatenate([np.asarray(_paths(case, starts[REFERENCE])), *ends])
+    paths = np.concatenate([np.asarray(paths_of(case, starts[REFERENCE], SHOWN)), *ends])
     return _Cloud(cost, ok, paths, best)
-
-
-@eqx.filter_jit
-def _paths(case: Case, uss: jax.Array) -> jax.Array:
-    """Return the joint angles of the iterations to be shown, (shown, start, time, joint)."""
-    problem, solver = case.problem, ILQR()
-
-    def each(us):
-        def body(state, _):
-            state = solver.step(problem, state)
-            return state, state.xs[:, :2]
-
-        state = solver.init(problem, case.x0, us)
-        return jax.lax.scan(body, state, length=max(SHOWN) + 1)[1][jnp.array(SHOWN)]
-
-    return jnp.moveaxis(jax.lax.map(each, uss), 0, 1)
 
 
 def _fractions(data: xarray.Dataset, near: float) -> tuple[np.ndarray, np.ndarray]:
@@ -162,19 +138,19 @@ def _fractions(data: xarray.Dataset, near: float) -> tuple[np.ndarray, np.ndarra
 def figure(result: Result) -> Figure:
     """Draw the clouds of paths over the iterations, and the fraction over the amplitude."""
     data = result.data
-    fig, axes = plot.panels(2, len(SHOWN) + 3, size=(13.0, 5.2))
+    fig, axes = jc.plot.panels(2, len(SHOWN) + 3, size=(13.0, 5.2))
     for row, (arm, name) in enumerate((("torque", "A  torques"), ("muscle", "B  six muscles"))):
         one = data.sel(arm=arm)
         for ax, shown in zip(axes[row], data.iteration.values, strict=False):
             level = -1 if shown == data.iteration.values[-1] else REFERENCE
             order = np.argsort(one.excess.values[level])
-            with plot.style():
+            with jc.plot.style():
                 _draw_cloud(ax, one.paths.sel(iteration=shown).values[order])
                 ax.set_title(f"{name}, {shown}" if ax is axes[row, 0] else shown, loc="left")
-        with plot.style():
+        with jc.plot.style():
             axes[row, 0].set_ylabel("elbow [rad]")
             _draw_fractions(axes[row, -1], data, row)
-    with plot.style():
+    with jc.plot.style():
         axes[0, 0].legend(loc="upper right")
         axes[0, -1].legend(
             loc="lower left", frameon=True, framealpha=1.0, edgecolor="none", borderaxespad=0.2

@@ -11,25 +11,16 @@ our choice.
 
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray
 
-from .._batch import solve_batch
-from .._cost import parts
-from .._integrate import RK4, AbstractIntegrator
-from .._plant import AbstractHand
-from .._problem import Problem
-from ..analysis import power_law_null
-from ..models import PolynomialJerkCost
-from ..plants import FreeHand, MuscleArm, PolynomialJerk, TorqueArm
-from ..solvers import ILQR
-from ..tasks import Effort, track
+import jaxctrl as jc
+
 from . import _closed_paths as shapes
 from ._free_timing import ClosedPath, OfBody, OnPath, PathCost, StepOnPath
-from ._result import Result
+from ._result import Result, named
 from ._two_thirds_claims import claims as claims
 from ._two_thirds_figure import MODELS, figure as figure, law_of
 
@@ -69,7 +60,7 @@ class Config:
         """Return settings with fewer, shorter and coarser records."""
         return cls(
             duration=2.0,
-            num_steps=80,
+            num_steps=60,
             ellipses=2,
             ellipse_turns=2,
             scribbles=1,
@@ -79,21 +70,21 @@ class Config:
         )
 
 
-def _body(model: str, config: Config) -> tuple[AbstractHand, OfBody, AbstractIntegrator]:
+def _body(model: str, config: Config) -> tuple[jc.AbstractHand, OfBody, jc.AbstractIntegrator]:
     """Return the plant of a model, what it costs to move it, and how it is integrated."""
     if model == "jerk":
-        cost = PolynomialJerkCost(config.jerk, 0.0)  # pyright: ignore[reportCallIssue]
-        return FreeHand(), OfBody(cost), PolynomialJerk()  # pyright: ignore[reportCallIssue]
-    arm = TorqueArm() if model == "torque" else MuscleArm()
-    cost = Effort(config.effort)  # pyright: ignore[reportCallIssue]
-    return arm, OfBody(cost), RK4()  # pyright: ignore[reportCallIssue]
+        cost = jc.models.PolynomialJerkCost(config.jerk, 0.0)  # pyright: ignore[reportCallIssue]
+        return jc.plants.FreeHand(), OfBody(cost), jc.plants.PolynomialJerk()  # pyright: ignore[reportCallIssue]
+    arm = jc.plants.TorqueArm() if model == "torque" else jc.plants.MuscleArm()
+    cost = jc.tasks.Effort(config.effort)  # pyright: ignore[reportCallIssue]
+    return arm, OfBody(cost), jc.RK4()  # pyright: ignore[reportCallIssue]
 
 
-def _start(body: AbstractHand, hand):
+def _start(body: jc.AbstractHand, hand):
     """Return the state (nx,) of a body whose hand rests at a position (2,)."""
-    if isinstance(body, FreeHand):
+    if isinstance(body, jc.plants.FreeHand):
         return body.at_rest(hand)
-    assert isinstance(body, TorqueArm | MuscleArm)
+    assert isinstance(body, jc.plants.TorqueArm | jc.plants.MuscleArm)
     return body.at_rest(*body.inverse_kinematics(hand))
 
 
@@ -102,23 +93,22 @@ def _trace(model: str, waves, turns, config: Config) -> dict[str, np.ndarray]:
     body, moving, rule = _body(model, config)
     dt = config.duration / config.num_steps
 
-    def problem(wave, turns):
+    def problem(wave, turns, weight):
         path, mean = (
             ClosedPath(jnp.array(shapes.CENTRE), wave),
             2 * jnp.pi * turns / config.duration,
         )
         plant = OnPath(body, path, turns=turns, rate=mean, fastest=config.fastest * mean)
-        cost = PathCost(config.path_weight) + moving  # pyright: ignore[reportCallIssue]
+        cost = PathCost(weight) + moving  # pyright: ignore[reportCallIssue]
         step = StepOnPath(rule)
-        return Problem(plant, cost, num_steps=config.num_steps, dt=dt, integrator=step)
+        return jc.Problem(plant, cost, num_steps=config.num_steps, dt=dt, integrator=step)
 
-    problems = jax.vmap(problem)(waves, turns)
     starts = [jnp.append(_start(body, shapes.curve(wave, np.zeros(1))[0]), 0.0) for wave in waves]
-    starts, controls = jnp.stack(starts), jax.vmap(lambda one: one.nominal_controls)(problems)
+    starts, controls = jnp.stack(starts), None
     for share in STAGES[model]:
-        weight = jnp.full(len(waves), share * config.path_weight)
-        problems = eqx.tree_at(_path_weight, problems, weight)
-        solved = solve_batch(problems, ILQR(), starts, controls, max_steps=1000)
+        weights = jnp.full(len(waves), share * config.path_weight)
+        problems = jax.vmap(problem)(waves, turns, weights)
+        solved = jc.solve_batch(problems, jc.ILQR(), starts, controls, max_steps=1000)
         controls = solved.us
     one = jax.tree.map(lambda leaf: leaf[0], problems).plant
     phase = np.asarray(solved.xs[..., -1])
@@ -136,14 +126,9 @@ def _trace(model: str, waves, turns, config: Config) -> dict[str, np.ndarray]:
     }
 
 
-def _path_weight(problem: Problem):
-    """Find the weight of leaving the path."""
-    return parts(problem.cost)[0].weight  # pyright: ignore[reportAttributeAccessIssue]
-
-
 def _follow(waves, turns, config: Config) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Track constant-speed references with the torque arm; arrays lead with weight and path."""
-    arm, dt = TorqueArm(), config.duration / config.num_steps
+    arm, dt = jc.plants.TorqueArm(), config.duration / config.num_steps
     points = np.array(
         [
             shapes.at_constant_speed(w, n, config.num_steps)
@@ -152,7 +137,7 @@ def _follow(waves, turns, config: Config) -> tuple[np.ndarray, np.ndarray, np.nd
     )
 
     def problem(points, weight):
-        task = track(
+        task = jc.tasks.track(
             arm,
             points,
             config.duration,
@@ -160,13 +145,13 @@ def _follow(waves, turns, config: Config) -> tuple[np.ndarray, np.ndarray, np.nd
             path_weight=weight,
             effort=config.effort,
         )
-        return Problem(arm, task.cost, num_steps=config.num_steps, dt=dt, integrator=RK4())
+        return jc.Problem(arm, task.cost, num_steps=config.num_steps, dt=dt, integrator=jc.RK4())
 
     weights = np.repeat(REFERENCE_WEIGHTS, len(waves))
     repeated = np.tile(points, (len(REFERENCE_WEIGHTS), 1, 1))
     problems = jax.vmap(problem)(jnp.array(repeated), jnp.array(weights))
     starts = jnp.stack([_start(arm, path[0]) for path in repeated])
-    solved = solve_batch(problems, ILQR(), starts)
+    solved = jc.solve_batch(problems, jc.ILQR(), starts)
     hand = np.asarray(jax.vmap(jax.vmap(arm.hand))(solved.xs))
     velocity = np.asarray(jax.vmap(jax.vmap(arm.hand_velocity))(solved.xs))
     shape = (len(REFERENCE_WEIGHTS), *points.shape)
@@ -203,7 +188,7 @@ def run(config: Config) -> Result:
         [law_of(h, v, ts, config.trim) for h, v in zip(hand, velocity, strict=True)]
         for hand, velocity in zip(found["hand"], found["velocity"], strict=True)
     ]
-    null = power_law_null(
+    null = jc.analysis.power_law_null(
         config.duration,
         config.num_steps / config.duration,
         6 / config.duration,
@@ -222,7 +207,7 @@ def run(config: Config) -> Result:
         "null": null.exponents,
     }
     data = _dataset(config, names, ts, found, laws, controls)
-    data["path"] = (("curve", "sample", "axis"), _outlines(waves), _is("path", "m"))
+    data["path"] = (("curve", "sample", "axis"), _outlines(waves), named("path", "m"))
     return Result(data, config, "; ".join(failed))
 
 
@@ -235,46 +220,42 @@ def _dataset(config: Config, names, ts, found, laws, controls) -> xarray.Dataset
     each, record = ("model", "curve"), ("model", "curve", "time")
     return xarray.Dataset(
         {
-            "hand": ((*record, "axis"), found["hand"], _is("hand position", "m")),
-            "velocity": ((*record, "axis"), found["velocity"], _is("hand velocity", "m/s")),
-            "phase": (record, found["phase"], _is("phase along the path", "rad")),
-            "miss": (record, found["miss"], _is("distance of the hand from the path", "m")),
+            "hand": ((*record, "axis"), found["hand"], named("hand position", "m")),
+            "velocity": ((*record, "axis"), found["velocity"], named("hand velocity", "m/s")),
+            "phase": (record, found["phase"], named("phase along the path", "rad")),
+            "miss": (record, found["miss"], named("distance of the hand from the path", "m")),
             "rate": (
                 ("model", "curve", "step"),
                 found["rate"],
-                _is("rate of the phase, as a multiple of its mean", "1"),
+                named("rate of the phase, as a multiple of its mean", "1"),
             ),
             "exponent": (
                 each,
                 np.array([[law.exponent for law in row] for row in laws]),
-                _is("exponent of the radius of curvature", "1"),
+                named("exponent of the radius of curvature", "1"),
             ),
             "r_squared": (
                 each,
                 np.array([[law.r_squared for law in row] for row in laws]),
-                _is("share of the variance explained", "1"),
+                named("share of the variance explained", "1"),
             ),
             "uniform": (
                 "curve",
                 np.array(controls["uniform"]),
-                _is("exponent of the path at a uniform phase", "1"),
+                named("exponent of the path at a uniform phase", "1"),
             ),
             "reference": (
                 ("weight", "curve"),
                 np.array(controls["reference"]),
-                _is("exponent of the torque arm that tracks a constant speed", "1"),
+                named("exponent of the torque arm that tracks a constant speed", "1"),
             ),
-            "null": ("seed", controls["null"], _is("exponent of smoothed noise", "1")),
+            "null": ("seed", controls["null"], named("exponent of smoothed noise", "1")),
         },
         coords={
             "model": ("model", list(MODELS), {"long_name": "model"}),
             "curve": ("curve", names, {"long_name": "path"}),
-            "time": ("time", ts, _is("time", "s")),
+            "time": ("time", ts, named("time", "s")),
             "axis": ("axis", ["x", "y"], {"long_name": "axis"}),
-            "weight": ("weight", list(REFERENCE_WEIGHTS), _is("path weight", "1/(m^2 s)")),
+            "weight": ("weight", list(REFERENCE_WEIGHTS), named("path weight", "1/(m^2 s)")),
         },
     )
-
-
-def _is(name: str, units: str) -> dict[str, str]:
-    return {"long_name": name, "units": units}

@@ -10,17 +10,19 @@ import time
 from pathlib import Path
 
 import pytest
+from peers import build, programs
 
 from jaxctrl import bench, cli
-from jaxctrl.bench import _build, _layout, _plans, _programs, _run, _stopwatch
+from jaxctrl.bench import _layout, _peers, _plans, _run, _timing, _worker
+from jaxctrl.stopwatch import Taken
 
 SLOWED = Path(__file__).parent / "slowed"
 
 
 def record(ms=1.0, **more):
     """Return what a worker says of a solve; its noise is small."""
-    taken = [_stopwatch.Taken(1e-3 * ms * f, 1e-3 * ms * f) for f in (0.99, 1.0, 1.01)]
-    timing = _stopwatch.timing([taken], [[1e3 * t.cpu for t in taken]])
+    taken = [Taken(1e-3 * ms * f, 1e-3 * ms * f) for f in (0.99, 1.0, 1.01)]
+    timing = _timing.timing([taken], [[1e3 * t.cpu for t in taken]])
     return {
         "suite": "problems", "section": "single", "mode": "fast", "dtype": "float64",
         "problem": "pendulum", "solver": "ILQR", "timing": timing, "iterations": 20, "cost": 2.0,
@@ -148,10 +150,10 @@ def test_other_suites_of_an_earlier_run_are_left_aside(call, tmp_path):
 def test_what_is_missing_is_named_with_the_command_that_installs_it(call, monkeypatch, tmp_path):
     monkeypatch.setenv("CROCODDYL_PREFIX", str(tmp_path))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(_build, "find_eigen", missing_eigen)
-    monkeypatch.setattr(_programs.importlib.util, "find_spec", lambda name: None)
-    built, reasons = _programs.compile_peers()
-    missing = {**reasons, **_programs.missing_packages()}
+    monkeypatch.setattr(build, "find_eigen", missing_eigen)
+    monkeypatch.setattr(programs.importlib.util, "find_spec", lambda name: None)
+    built, reasons = programs.compile_peers()
+    missing = {**reasons, **programs.missing_packages()}
     assert not built
     said = {"suite": "peers", "section": "missing", "missing": missing}
     code, stdout, _ = call("peers", "--quick", records=[said])
@@ -162,7 +164,36 @@ def test_what_is_missing_is_named_with_the_command_that_installs_it(call, monkey
 
 
 def missing_eigen(prefixes):
-    raise _build.Missing("no Eigen headers (pip install cmeel-eigen)")
+    raise build.Missing("no Eigen headers (pip install cmeel-eigen)")
+
+
+@pytest.fixture
+def no_checkout(monkeypatch, tmp_path):
+    """Make the package one that was installed from a wheel, far from the repository."""
+    site = tmp_path / "site-packages" / "jaxctrl" / "bench" / "_peers.py"
+    monkeypatch.setattr(_peers, "__file__", str(site))
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("arguments", [["peers"], ["problems", "--peers"]])
+def test_without_a_checkout_the_peers_are_refused_with_where_they_are(call, no_checkout, arguments):
+    code, stdout, stderr = call(*arguments, records=[record()])
+    assert code == 2 and not stdout
+    assert "benchmarks/ of jaxctrl's source repository" in stderr
+
+
+def test_without_a_checkout_all_other_suites_are_run(call, no_checkout, tmp_path):
+    path = tmp_path / "run.json"
+    code, _, stderr = call("--save", path, records=[record()])
+    assert code == 0 and "left out peers: " in stderr
+    assert json.loads(path.read_text())["suites"] == ["thesis", "scaling", "problems"]
+
+
+def test_the_peers_of_the_working_folder_are_found(no_checkout, tmp_path):
+    suite = tmp_path / "benchmarks" / "peers" / "suite.py"
+    suite.parent.mkdir(parents=True)
+    suite.write_text("")
+    assert _peers.folder() == tmp_path / "benchmarks"
 
 
 def test_every_suite_has_its_processes_and_its_module():
@@ -171,6 +202,7 @@ def test_every_suite_has_its_processes_and_its_module():
             for job in _plans.jobs(suite, quick, peers=True):
                 assert job.orders["suite"] == suite
                 json.dumps(job.orders)
+        assert callable(_worker.suite_of(suite).run)
 
 
 def test_the_exponent_of_a_power_law_is_found():

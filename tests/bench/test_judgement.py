@@ -8,7 +8,8 @@ by about as much within a process, with outliers of twice the time and more.
 import numpy as np
 import pytest
 
-from jaxctrl.bench import _judgement, _stopwatch
+from jaxctrl.bench import _judgement, _timing
+from jaxctrl.stopwatch import Taken
 
 BETWEEN, WITHIN, OUTLIERS = 0.04, 0.06, 0.1
 
@@ -22,9 +23,9 @@ def samples(rng, factor=1.0, processes=2, rounds=10, between=BETWEEN):
 
 
 def row(relative, **more):
-    taken = [[_stopwatch.Taken(value, value) for value in rounds] for rounds in relative]
+    taken = [[Taken(value, value) for value in rounds] for rounds in relative]
     names = {"suite": "peers", "section": "single", "problem": "P2", "solver": "ILQR"}
-    timing = _stopwatch.timing(taken, relative)
+    timing = _timing.timing(taken, relative)
     return names | {"mode": "fast", "dtype": "float64", "timing": timing} | more
 
 
@@ -107,7 +108,7 @@ def test_only_rows_of_the_same_name_are_compared():
 def test_calls_take_turns_with_the_calibration():
     order = []
     calls = [lambda: order.append("a"), lambda: order.append("b")]
-    found = _stopwatch.measure(calls, rounds=2)
+    found = _timing.measure(calls, rounds=2)
     assert [len(timing["relative"][0]) for timing in found] == [2, 2]
     assert all(value > 0 for timing in found for value in timing["relative"][0])
     blocks = "".join(order).lstrip("ab")  # each is repeated until it can be timed
@@ -116,10 +117,10 @@ def test_calls_take_turns_with_the_calibration():
 
 
 def test_a_call_that_times_itself_is_believed():
-    (timing,) = _stopwatch.measure([lambda: _stopwatch.Taken(2.0, 1.0)], rounds=3)
+    (timing,) = _timing.measure([lambda: Taken(cpu=1.0, wall=2.0)], rounds=3)
     assert timing["ms"] == 2000 and timing["cpu_ms"] == 1000
 
 
 def test_an_expensive_call_is_left_out_of_later_rounds():
-    (timing,) = _stopwatch.measure([lambda: _stopwatch.Taken(2.0, 1.0)], rounds=50, budget=1.0)
+    (timing,) = _timing.measure([lambda: Taken(cpu=1.0, wall=2.0)], rounds=50, budget=1.0)
     assert len(timing["walls_ms"][0]) == 3

@@ -21,6 +21,7 @@ def table(monkeypatch):
         {
             "seconds": (dims, seconds),
             "spread": (dims, 0.1 * np.array(seconds)),
+            "wall": (dims, 1.5 * np.array(seconds)),
             "iterations": (dims, [[[3.0, 5.0], [nan, nan]]]),
             "cost": (dims[:2], [[2.0, nan]]),
             "first": (dims[:2], [[1.0, 1.5]]),
@@ -61,7 +62,8 @@ def test_the_table_and_its_claims_are_shown(table):
         in shown
     )
     ilqr = next(row for row in kept if row.get("solver") == "ILQR")
-    assert ilqr["timing"]["ms"] == 200 and ilqr["iterations"] == 5
+    assert ilqr["timing"]["cpu_ms"] == 200 and ilqr["timing"]["ms"] == pytest.approx(300)
+    assert ilqr["iterations"] == 5
     assert ilqr["note"] == "within 0.0001 of the best cost"
 
 

@@ -42,22 +42,8 @@ def test_the_timed_loop_passes_through_the_iterates_of_solve():
         assert int(count) == at
         assert float(cost) == pytest.approx(float(solution.history.cost[at]), rel=1e-12)
         for times in (1, 3):
-            assert float(repeated(us, i, times)) == float(cost)
-
-
-def test_calls_are_timed_in_turns_and_none_for_the_first_time(monkeypatch):
-    made = []
-
-    def lasting(name, unit):
-        return lambda count: made.append((name, count)) or unit * count
-
-    # A clock that believes what calls say.
-    monkeypatch.setattr(chapter, "seconds", lambda call: call())
-    times = chapter.in_turns([lasting("slow", 0.02), lasting("fast", 0.001)], 3)
-    first = [("slow", 1)] * 2 + [("fast", 1)] * 2
-    turn = [("slow", 1), ("slow", 1), ("fast", 1), ("fast", 5)]
-    assert made == first + turn * 3
-    assert times == pytest.approx(np.tile([0.02, 0.001], (3, 1)))
+            again, at_iterate = repeated(us, i, times)
+            assert float(again) == float(cost) and int(at_iterate) == at
 
 
 def test_the_first_iterate_within_a_tolerance_is_found():
@@ -85,6 +71,7 @@ def made_up(seconds, cost, best=1.0):
             "status": (("problem", "solver"), np.full((5, 5), "CONVERGED_COST")),
             "steps": (("problem", "solver"), np.full((5, 5), 9)),
             "seconds": (("problem", "solver", "near"), np.stack([seconds] * 5)),
+            "wall": (("problem", "solver", "near"), np.stack([seconds] * 5)),
             "spread": (("problem", "solver", "near"), 0.1 * np.stack([seconds] * 5)),
             "iterations": (("problem", "solver", "near"), np.stack([iterations] * 5)),
             "first": (("problem", "solver"), np.ones((5, 5))),

@@ -8,22 +8,61 @@ import numpy as np
 import pytest
 
 from jaxctrl import experiments
-from jaxctrl.experiments._result import Claim, Result
+from jaxctrl.experiments import Claim, Result
 
-# What compiles long: like another one, or tested in parts elsewhere.
-SLOW = {
-    "fig-3.4", "fig-3.6", "fig-3.8", "fig-3.10", "two-thirds", "curvature-map", "fig-4.3",
-    "table-4.1",
-}  # fmt: skip
+# Claims that do not hold, in so small a run: whichever else fails, or holds of these, is news.
+FAILING = {
+    "fig-3.4": {
+        "Speed profiles are single-peaked under minimum energy",
+        "Paths are slightly curved under minimum energy",
+        "Both models' paths of the muscle-driven arm are alike, and unlike those of minimum jerk",
+    },
+    "fig-3.6": {
+        "The speed has two peaks under minimum torque change",
+        "The speed's valley is where the via-point is passed, under minimum torque change",
+        "The speed's valley is where the via-point is passed, under minimum energy",
+    },
+    "fig-3.8": {
+        "Near the straight line the speed has one peak, far from it two (torque change)",
+        "One peak up to some distance of the via-point, two beyond (torque change)",
+        "The valley deepens with the via-point's distance (torque change)",
+        "Near the straight line the speed has one peak, far from it two (energy)",
+        "One peak up to some distance of the via-point, two beyond (energy)",
+    },
+    "fig-3.10": {
+        "The via-points are passed (torque change)",
+        "The later the passing, the later the speed's valley (torque change)",
+        "The via-points are passed (energy)",
+    },
+    "table-4.1": {
+        "ILQR needs the fewest iterations: pendulum",
+        "ILQR needs Levenberg-Marquardt damping for stable iterations",
+    },
+    "centre-out": {"Speed profiles of the muscle-driven arm have one peak"},
+    "two-thirds": {
+        "The two-thirds power law holds for scribbles under least energy of six muscles, timing "
+        "free",
+        "The two-thirds power law holds for scribbles under least jerk, timing free",
+        "The exponents of optimal scribbles differ from that of smoothed noise",
+    },
+    "curvature-map": {
+        "Curvature of minimum torque change (torque arm) depends on the area of the workspace",
+        "All reaches of minimum energy (six muscles) are solved and arrive",
+        "Curvature of minimum energy (six muscles) depends on the area of the workspace",
+        "Transverse reaches of minimum torque change (torque arm) curve more than radial ones",
+        "Transverse reaches of minimum energy (six muscles) curve more than radial ones",
+        "Both models curve the same reaches to the same side",
+    },
+}
+# Claims about times, which may go either way on a busy machine: test_chapter_4.py judges them by
+# made-up times.
+TIMED = {
+    "fig-4.3": {"At equal time"},
+    "table-4.1": {"ILQR is the fastest"},
+}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
-        for name in experiments.names()
-    ],
-)
+@pytest.mark.parametrize("name", experiments.names())
 def test_quick_run_converges_draws_and_claims(name):
     module = experiments.load(name)
     config = module.Config.quick()
@@ -41,8 +80,21 @@ def test_quick_run_converges_draws_and_claims(name):
             assert np.isfinite(variable).all(), variable.name
     labelled = [a for a in figure.axes if a.axison]
     assert any(axes.get_xlabel() for axes in labelled) and any(a.get_ylabel() for a in labelled)
-    claims = module.claims(result)
+    plt.close(figure)
+    judge(name, module.claims(result))
+
+
+def judge(name, claims):
+    """Check that exactly the claims fail that are known to, each with a note that says why."""
     assert claims and all(isinstance(claim, Claim) for claim in claims)
+    statements = [claim.statement for claim in claims]
+    assert len(set(statements)) == len(statements)
+    timed = tuple(TIMED.get(name, ()))
+    judged = [claim for claim in claims if not (timed and claim.statement.startswith(timed))]
+    assert {claim.statement for claim in judged if not claim.holds} == FAILING.get(name, set())
     for claim in claims:
         assert claim.holds or claim.note, claim.statement
-    plt.close(figure)
+
+
+def test_the_list_of_failing_claims_is_of_experiments_that_there_are():
+    assert {*FAILING, *TIMED} <= set(experiments.names())

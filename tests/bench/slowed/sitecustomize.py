@@ -12,10 +12,10 @@ from jaxctrl.solvers import shooting
 plain = shooting.step
 
 
-def slowed(problem, state, solver):
+def slowed(problem, state, last, solver):
     """Take a step, and expand twice more nearby, in a way that the compiler cannot leave out."""
-    new = plain(problem, state, solver)
-    models = [shooting.expand(problem, new.xs + shift, new.us) for shift in (1e-7, 2e-7)]
+    new = plain(problem, state, last, solver)
+    models = [solver.expand(problem, new.xs + shift, new.us, False) for shift in (1e-7, 2e-7)]
     extra = sum(jnp.sum(leaf) for leaf in jax.tree.leaves(models))
     return eqx.tree_at(lambda s: s.lam, new, new.lam + 0.0 * extra)
 

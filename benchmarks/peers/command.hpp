@@ -1,7 +1,8 @@
 // The command line that all peers share: PROBLEM US_FILE OUT_FILE REPEATS TH_STOP MAXITER.
 //
 // US_FILE and OUT_FILE hold controls (B, steps, nu) as raw float64. One line of JSON is printed;
-// its seconds are those of each repeat, a pass over all B starts.
+// "cpu" and "wall" are the seconds of each repeat, a pass over all B starts, by the processor's
+// clock of this process, as jaxctrl takes its own times, and by the wall's.
 
 #pragma once
 
@@ -12,6 +13,7 @@
 #include <cstdlib>
 #include <fstream>
 #include <string>
+#include <time.h>
 #include <vector>
 
 namespace peers {
@@ -20,6 +22,12 @@ struct Outcome {
   int iterations = 0;
   double cost = 0, stop = 0;
 };
+
+inline double processor_seconds() {
+  timespec now;
+  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now);
+  return now.tv_sec + 1e-9 * now.tv_nsec;
+}
 
 struct Command {
   std::string problem, us_file, out_file;
@@ -53,12 +61,14 @@ struct Command {
   template <class Pass>
   void run(const char* solver, const std::vector<double>& us, const std::vector<Outcome>& outcomes,
            Pass&& pass) const {
-    std::vector<double> seconds;
+    std::vector<double> cpu, wall;
     for (int i = 0; i < std::max(1, repeats); ++i) {
       const auto begin = std::chrono::steady_clock::now();
+      const double processor = processor_seconds();
       pass();
+      cpu.push_back(processor_seconds() - processor);
       const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - begin;
-      seconds.push_back(taken.count());
+      wall.push_back(taken.count());
     }
     std::ofstream file(out_file, std::ios::binary);
     file.write(reinterpret_cast<const char*>(us.data()), us.size() * sizeof(double));
@@ -76,7 +86,8 @@ struct Command {
       if (std::isfinite(v)) std::printf("%.16e", v);
       else std::printf("null");
     };
-    list("seconds", seconds, [](double s) { std::printf("%.6e", s); });
+    list("cpu", cpu, [](double s) { std::printf("%.6e", s); });
+    list("wall", wall, [](double s) { std::printf("%.6e", s); });
     list("iterations", outcomes, [](const Outcome& o) { std::printf("%d", o.iterations); });
     list("cost", outcomes, [&](const Outcome& o) { number(o.cost); });
     list("stop", outcomes, [&](const Outcome& o) { number(o.stop); });

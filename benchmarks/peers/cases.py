@@ -16,10 +16,7 @@ solvers see the same twice differentiable function.
 import jax.numpy as jnp
 import numpy as np
 
-from .._cost import QuadraticCost
-from .._function_plant import FunctionPlant
-from .._problem import Problem
-from ..linear import solve_positive
+import jaxctrl as jc
 
 MUSCLES = ("SF", "SX", "EF", "EX", "BF", "BX")
 ARMS = np.array([[4, -4, 0, 0, 2.8, -3.5], [0, 0, 2.5, -2.5, 2.8, -3]]) * 1e-2
@@ -98,7 +95,7 @@ def chain(n):
         M = heavier * xp.cos(difference)
         if xp is np:
             return np.concatenate([w, np.linalg.solve(M, net)])
-        return jnp.concatenate([w, solve_positive(M, net[:, None])[0][:, 0]])
+        return jnp.concatenate([w, jc.linear.solve_positive(M, net[:, None])[0][:, 0]])
 
     return dynamics
 
@@ -114,12 +111,12 @@ class Case:
 
     def problem(self):
         """Return it as a `Problem`."""
-        plant = FunctionPlant(
+        plant = jc.FunctionPlant(
             lambda x, u, t: self.dynamics(jnp, x, u), nx=self.nx, nu=self.nu,
             control_bounds=self.bounds,
         )  # fmt: skip
-        cost = QuadraticCost(R=self.r, Qf=self.w, target=self.target)
-        return Problem(plant, cost, num_steps=self.T, dt=self.dt)
+        cost = jc.QuadraticCost(R=self.r, Qf=self.w, target=self.target)
+        return jc.Problem(plant, cost, num_steps=self.T, dt=self.dt)
 
     def cost(self, us):
         """Return the cost of controls (T, nu) from a plain NumPy roll-out: the one judge of all."""

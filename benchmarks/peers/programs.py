@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from ._build import LABELS, PEERS, TH_STOP, build
-from ._cases import Case
-from ._stopwatch import Taken, one_core
+from jaxctrl.stopwatch import Taken, one_core
+
+from .build import LABELS, PEERS, TH_STOP, build
+from .cases import Case
 
 MAXITER = 500
 FACTORS = {"P1": "1e2", "P2": "1e2", "P3": "1e2", "P3h": "2e3"}
@@ -90,8 +91,7 @@ def compiled(program: Path, name: str, case: Case) -> Program:
     def call() -> Taken:
         last[0], us = run_peer(program, name, case.start[None], 5)
         last[1] = us[0]
-        median = statistics.median(last[0]["seconds"])
-        return Taken(median, median)
+        return Taken(*(statistics.median(last[0][clock]) for clock in Taken._fields))
 
     return Program(
         LABELS[program.name], call, lambda: (last[1], {"iterations": last[0]["iterations"][0]})
@@ -107,10 +107,10 @@ def programs(
             yield lambda program=program: compiled(program, name, case)
     for label, plugin in TRANSCRIBERS.items():
         if label not in lacks and name in TRANSCRIBED:
-            from ._casadi import transcribed
+            from .transcribed import transcribed
 
             yield lambda label=label, plugin=plugin: transcribed(label, plugin, case)
-    from ._scipy import minimised
+    from .minimised import minimised
 
     yield lambda: minimised(case.problem(), case.x0, case.start)
 
@@ -126,7 +126,8 @@ def crocoddyl_restarts(
         threshold = TH_STOP[program.name][name]
         yield {
             "solver": f"Crocoddyl{kind}", "mode": "peer", "devices": 1,
-            "seconds": word["seconds"], "iterations": word["iterations"],
+            "total_ms": 1e3 * statistics.median(word["wall"]),
+            "cpu_ms": 1e3 * statistics.median(word["cpu"]), "iterations": word["iterations"],
             "ok": [stop is not None and stop <= threshold for stop in word["stop"]],
             "costs": [float(case.cost(each)) for each in us],
         }  # fmt: skip

@@ -1,4 +1,4 @@
-// The dynamics of _cases.py, discretised by explicit Euler, with analytic Jacobians.
+// The dynamics of cases.py, discretised by explicit Euler, with analytic Jacobians.
 //
 // A model keeps in a Cache what `step` computed and `linearize` can use again. `prepare` writes
 // the entries of A = dx'/dx and B = dx'/du that never change; `linearize` writes all others.

@@ -1,49 +1,22 @@
-"""Time calls on one core or on all, in turns, beside a fixed piece of work.
+"""Time calls in turns beside a fixed piece of work, and sum up what they took.
 
-The machine's speed drifts, and other programs take its cores. So calls are taken in turns, with
-`calibrate` between any two of them, and each is also given in units of that: `relative` is the
-processor time of a call over that of the calibrations just before and after it.
+The machine's speed drifts, and other programs take its cores. So `calibrate` is run between any two
+calls, and each is also given in units of that: `relative` is the processor time of a call over that
+of the calibrations just before and after it.
 """
 
-import contextlib
 import itertools
-import os
 import statistics
-import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+from ..stopwatch import Taken, count_for, repeated, take
+
 BLOCK = 3e-3
 """Calls are repeated until they take this long [s]: far above the clock's resolution."""
 _INPUT = np.linspace(0.1, 1.0, 256)
-
-
-def _pin(cores: Sequence[int]) -> None:
-    """Let every thread of this process run on these cores alone."""
-    # The system pins threads, not processes, and JAX has started its own before we get here.
-    tasks = Path("/proc/self/task")
-    threads = [int(entry.name) for entry in tasks.iterdir()] if tasks.is_dir() else [0]
-    for thread in threads:
-        with contextlib.suppress(OSError):  # it may have ended meanwhile
-            os.sched_setaffinity(thread, cores)
-
-
-@contextlib.contextmanager
-def one_core() -> Iterator[None]:
-    """Stay on one core, and so do processes begun meanwhile; nothing where the OS cannot."""
-    if not CORES:
-        yield
-        return
-    _pin(CORES[-1:])  # the first core is the one that most often serves interrupts
-    try:
-        yield
-    finally:
-        _pin(CORES)
 
 
 def calibrate() -> None:
@@ -66,29 +39,6 @@ def calibrate() -> None:
         parts[i & 63] = (part, part + y[0])
 
 
-@dataclass(frozen=True)
-class Taken:
-    """Hold what a call says it took itself [s], as a program in a process of its own does."""
-
-    wall: float
-    cpu: float
-
-
-def seconds(call: Callable[[], Any]) -> float:
-    """Return how long one call takes [s]; it must not return before its work is done."""
-    return _take(call).wall
-
-
-def _take(call: Callable[[], Any], count: int = 1) -> Taken:
-    """Return what one of `count` calls takes."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    found = None
-    for _ in range(count):
-        found = call()
-    taken = Taken((time.perf_counter() - wall) / count, (time.process_time() - cpu) / count)
-    return found if isinstance(found, Taken) else taken
-
-
 def measure(
     calls: Sequence[Callable[[], Any]], rounds: int, budget: float = np.inf
 ) -> list[dict[str, Any]]:
@@ -101,22 +51,18 @@ def measure(
 
     Returns: for each call `timing`, a dict that JSON can hold.
     """
-    counts = []
-    for call in calls:
-        call()
-        once = _take(call).cpu
-        if once < BLOCK:  # what has interrupted one call will hardly have met all three
-            once = min(once, *(_take(call).cpu for _ in range(2)))
-        counts.append(max(1, int(np.ceil(BLOCK / max(once, 1e-6)))))
+    times = [repeated(call) for call in calls]
+    counts = [count_for(call, BLOCK) for call in times]
     taken: list[list[Taken]] = [[] for _ in calls]
     relative: list[list[float]] = [[] for _ in calls]
-    before = _take(calibrate).cpu
+    fixed = repeated(calibrate)
+    before = take(fixed).cpu
     for turn in range(rounds):
-        for i, call in enumerate(calls):
+        for i, call in enumerate(times):
             if turn >= 3 and sum(t.wall for t in taken[i]) * counts[i] > budget:
                 continue
-            taken[i].append(_take(call, counts[i]))
-            after = _take(calibrate).cpu
+            taken[i].append(take(call, counts[i]))
+            after = take(fixed).cpu
             relative[i].append(2 * taken[i][-1].cpu / (before + after))
             before = after
     return [timing([each], [ratios]) for each, ratios in zip(taken, relative, strict=True)]

@@ -15,7 +15,7 @@ import sysconfig
 from collections.abc import Iterable
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent / "peers"
+HERE = Path(__file__).resolve().parent
 LABELS = {"floor_peer": "floor (C++)", "crocoddyl_peer": "Crocoddyl (compiled, C++ models)"}
 PEERS = tuple(LABELS)
 # Any warning here is one of Eigen's or GCC's own headers, and there are thousands of lines of them.

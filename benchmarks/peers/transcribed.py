@@ -9,10 +9,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ._build import Missing, find_compiler
-from ._cases import Case
-from ._programs import MAXITER, Program, cache
-from ._stopwatch import seconds
+from jaxctrl.stopwatch import repeated, take
+
+from .build import Missing, find_compiler
+from .cases import Case
+from .programs import MAXITER, Program, cache
 
 FACTOR = 1e2
 """On the cost: thresholds and first barriers are absolute numbers, and at a tolerance of 1e-8 costs
@@ -23,7 +24,7 @@ FLAGS = ("-x", "c", "-O3", "-march=native", "-shared", "-fPIC", "-w")
 
 
 class _Names:
-    """CasADi's functions under the names that the dynamics in _cases.py use."""
+    """CasADi's functions under the names that the dynamics in cases.py use."""
 
     def __init__(self):
         self.sin, self.cos, self.tanh, self.exp, self.log = ca.sin, ca.cos, ca.tanh, ca.exp, ca.log
@@ -102,7 +103,7 @@ def transcribed(label: str, plugin: str, case: Case) -> Program:
             expanded = {**options, "expand": True}  # twice as fast as the virtual machine without
             made[:] = [ca.nlpsol("solver", plugin, program, expanded), "CasADi VM"]
 
-    ready = seconds(first)
+    ready = take(repeated(first)).wall
     solver, how = made
     lower, upper = (-np.inf, np.inf) if case.bounds is None else case.bounds
     box = {"lbx": np.where(is_control, lower, -np.inf), "ubx": np.where(is_control, upper, np.inf)}

@@ -1,5 +1,5 @@
 // Compare every model's Jacobians with central differences, and print the largest errors and, for
-// comparison with _cases.py, the cost of each problem at its start.
+// comparison with cases.py, the cost of each problem at its start.
 
 #include "command.hpp"
 #include "models.hpp"

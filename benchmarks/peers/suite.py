@@ -15,12 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxctrl as jc
+from jaxctrl.bench._solves import LIMIT, NEWTON, SOLVERS, Call, converged, first_call, jitted
+from jaxctrl.bench._timing import measure
+from jaxctrl.bench._worker import Emitter
+from jaxctrl.stopwatch import one_core
 
-from . import _programs
-from ._cases import Case, cases
-from ._solves import LIMIT, NEWTON, SOLVERS, Call, converged, first_call, jitted
-from ._stopwatch import measure, one_core
-from ._worker import Emitter
+from . import programs
+from .cases import Case, cases
 
 GRADIENTS = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5)
 FIXED = 1e-3
@@ -89,7 +90,7 @@ class Bench:
         return call, first
 
 
-def singles(bench: Bench, rivals: Sequence[_programs.Program]) -> dict[str, tuple[Call, float]]:
+def singles(bench: Bench, rivals: Sequence[programs.Program]) -> dict[str, tuple[Call, float]]:
     """Measure one solve of each, in turns; return our jitted ones and their medians [ms]."""
     orders, ours = bench.orders, []
     for label in orders["solvers"]:
@@ -183,10 +184,10 @@ def gradients(bench: Bench, whole: Call) -> None:
     )  # fmt: skip
 
 
-def rivals_of(bench: Bench, built: dict, lacks: dict[str, str]) -> list[_programs.Program]:
+def rivals_of(bench: Bench, built: dict, lacks: dict[str, str]) -> list[programs.Program]:
     """Return the rivals that are ready for a case; report those that fail."""
     ready = []
-    for make in _programs.programs(bench.name, bench.case, built, lacks):
+    for make in programs.programs(bench.name, bench.case, built, lacks):
         try:
             rival = make()
             rival.call()
@@ -200,8 +201,8 @@ def run(orders: dict[str, Any], emit: Emitter) -> None:
     """Carry out the orders."""
     built, lacks = {}, {}
     if orders["peers"]:
-        built, reasons = _programs.compile_peers()
-        lacks = _programs.missing_packages()
+        built, reasons = programs.compile_peers()
+        lacks = programs.missing_packages()
         emit("missing", missing={**reasons, **lacks})
     for name in orders["names"]:
         try:
@@ -216,9 +217,7 @@ def run(orders: dict[str, Any], emit: Emitter) -> None:
                 program = built.get("crocoddyl_peer")
                 if program is not None and name in RESTARTED:
                     counts = orders["restarts"], orders["batches"]
-                    for figures in _programs.crocoddyl_restarts(program, name, bench.case, *counts):
-                        taken = figures.pop("seconds")
-                        figures["total_ms"] = 1e3 * statistics.median(taken)
+                    for figures in programs.crocoddyl_restarts(program, name, bench.case, *counts):
                         bench.record("restarts", **figures)
             emit("chosen", problem=name, chosen=bench.chosen)
         except Exception as error:

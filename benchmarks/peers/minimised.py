@@ -7,18 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize
 
-from .._controller import OpenLoop
-from .._problem import Problem
-from .._simulate import simulate
-from ._programs import Program
-from ._stopwatch import seconds
+import jaxctrl as jc
+from jaxctrl.stopwatch import repeated, take
+
+from .programs import Program
 
 LIMIT = 5000
 RULE = 1e-6
 """It is told to stop so near, relatively, to the cost where it ends when it is not: our rule."""
 
 
-def minimised(problem: Problem, x0: Any, start: Any) -> Program:
+def minimised(problem: jc.Problem, x0: Any, start: Any) -> Program:
     """Return L-BFGS-B, jitted cost and gradient together, the cost scaled to 1 at the start.
 
     A first run with no tolerance finds where it ends; the timed ones stop 1e-6 above that.
@@ -29,7 +28,7 @@ def minimised(problem: Problem, x0: Any, start: Any) -> Program:
     @jax.jit
     @jax.value_and_grad
     def cost(flat):
-        return simulate(problem, OpenLoop(flat.reshape(shape)), x0).cost
+        return jc.simulate(problem, jc.OpenLoop(flat.reshape(shape)), x0).cost
 
     scale = 1.0
 
@@ -37,7 +36,7 @@ def minimised(problem: Problem, x0: Any, start: Any) -> Program:
         value, slope = cost(jnp.asarray(flat))
         return float(value) * scale, np.asarray(slope, float) * scale
 
-    first = seconds(lambda: function(u0))
+    first = take(repeated(lambda: function(u0))).wall
     scale = 1 / max(abs(function(u0)[0]), 1e-30)
     bounds = None
     if problem.bounds is not None:

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from ._solution import Solution as Solution, SolveError as SolveError
     from ._solve import solve as solve
     from ._status import Reason as Reason, Status as Status
-    from ._types import LocalModel as LocalModel
+    from ._types import LocalModel as LocalModel, array_leaf as array_leaf
     from .models._compare import compare as compare
     from .models._times import optimise_times as optimise_times
     from .solvers import (
@@ -96,7 +96,7 @@ _WHERE = {
     "_problem": ("Problem",),
     "_simulate": ("Trajectory", "simulate"),
     "_status": ("Reason", "Status"),
-    "_types": ("LocalModel",),
+    "_types": ("LocalModel", "array_leaf"),
     "models._compare": ("compare",),
     "models._times": ("optimise_times",),
     "solvers": (

@@ -11,8 +11,9 @@ Bounds = tuple[Array, Array]
 
 
 def array_leaf(value: ArrayLike) -> Array:
-    """Return `value` as a floating array, so that it is a leaf with a gradient.
+    """Return `value`, of any shape (...), as a floating array: a leaf with a gradient.
 
+    It is the converter of a plant's or a cost's numbers: `eqx.field(converter=jc.array_leaf)`.
     Python numbers and integers take JAX's default float type of the moment; floating arrays keep
     theirs. Raises TypeError for complex or non-numeric values.
     """

@@ -49,6 +49,19 @@ def state_part(
     return jnp.broadcast_to(like(value, leaf), shape)
 
 
+def radians(
+    name: str, value: ArrayLike, leaf: Float[Array, "..."], shape: tuple[int, ...] = ()
+) -> Array:
+    """Return angles of a state at rest [rad] as `state_part` does.
+
+    Raises ValueError, naming the argument, where one is known to be beyond two turns.
+    """
+    part, numbers = state_part(name, value, leaf, shape), known(value)
+    if numbers is not None and (np.abs(numbers) > 4 * np.pi).any():
+        raise ValueError(f"{name}: {value} is more than two turns; are these radians?")
+    return part
+
+
 def wanted(shape: tuple[int, ...]) -> str:
     """Write the shapes that `parameter` accepts."""
     return "()" if shape == () else f"() or {shape}"

@@ -144,9 +144,10 @@ class AbstractHand(AbstractPlant):
 
     if TYPE_CHECKING:
         dim: ClassVar[int]
+        longest_reach: ClassVar[Any]
     else:
         dim = _Default(lambda plant: 2)
-    longest_reach: eqx.AbstractVar[Float[Array, ""]]
+        longest_reach: eqx.AbstractVar[Float[Array, ""]]
 
     @abc.abstractmethod
     def hand(self, x: Float[Array, " nx"]) -> Float[Array, " dim"]:

@@ -61,7 +61,8 @@ def solve_batch(
     sizes = {"problem": len(problem.dt)} if batched else {}
     lanes: list[Any] = [problem if batched else None, None, None]
     fixed: list[Any] = [None if batched else problem, None, None]
-    for i, (name, value, rank) in enumerate((("x0s", x0s, 1), ("uss", uss, 2)), start=1):
+    given: tuple[tuple[str, Any, int], ...] = (("x0s", x0s, 1), ("uss", uss, 2))
+    for i, (name, value, rank) in enumerate(given, start=1):
         if value is None:
             continue
         if rank == 2 and isinstance(value, AffinePolicy):

@@ -11,7 +11,7 @@ from ._cost import AbstractCost, Events, step_costs
 from ._function import closed
 from ._integrate import AbstractIntegrator, Euler, NextState
 from ._noise import AbstractNoise
-from ._plant import AbstractPlant
+from ._plant import AbstractPlant, check_plant, nominal_control
 from ._types import Bounds, array_leaf, as_bounds, clip
 
 
@@ -62,6 +62,7 @@ class Problem(eqx.Module):
         check_instance(
             "integrator", integrator, AbstractIntegrator | None, "jc.RK4() or its like is wanted"
         )
+        check_plant(plant)
         self.plant = closed(plant)
         self.cost = closed(cost)
         self.num_steps = num_steps = check_integer("num_steps", num_steps, 1)
@@ -136,13 +137,15 @@ class Problem(eqx.Module):
         """The bounds that hold, the problem's or else the plant's, each (T, nu); None without."""
         self.check_single()
         bounds = self.plant.control_bounds if self.control_bounds is None else self.control_bounds
-        return as_bounds(bounds, (self.num_steps, self.plant.nu))
+        bounds = as_bounds(bounds, (self.num_steps, self.plant.nu))
+        # A plant may state them as Python's numbers, whose dtype is nobody's.
+        return bounds and (bounds[0].astype(self.dt.dtype), bounds[1].astype(self.dt.dtype))
 
     @property
     def nominal_controls(self) -> Float[Array, "T nu"]:
         """The plant's nominal control at each step, within the bounds, shape (T, nu)."""
         shape = (self.num_steps, self.plant.nu)
-        return clip(jnp.broadcast_to(self.plant.nominal_control, shape), self.bounds)
+        return clip(jnp.broadcast_to(nominal_control(self.plant), shape), self.bounds)
 
     @property
     def rate(self) -> Array | float:

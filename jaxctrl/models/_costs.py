@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._cost import AbstractCost, AbstractStepCost
+from .._plant import nominal_control
 from .._types import array_leaf
 
 
@@ -70,7 +71,7 @@ class HandJerk(AbstractStepCost):
 
     def terminal(self, plant: Any, x):
         """Return w_a |d^2 e/dt^2|^2, shape ()."""
-        acceleration = _hand_acceleration(plant, x, plant.nominal_control)
+        acceleration = _hand_acceleration(plant, x, nominal_control(plant))
         return self.acceleration_weight * jnp.sum(acceleration**2)
 
     @property
@@ -139,7 +140,7 @@ class Balance(AbstractCost):
     def terminal(self, plant: Any, x):
         """Return w |M(q) ddq|^2, shape ()."""
         n = plant.num_joints
-        rate = plant(x, plant.nominal_control, jnp.zeros((), x.dtype))
+        rate = plant(x, nominal_control(plant), jnp.zeros((), x.dtype))
         return self.weight * jnp.sum((plant.mass_matrix(x[:n]) @ rate[n : 2 * n]) ** 2)
 
     @property

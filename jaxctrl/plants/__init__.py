@@ -5,13 +5,14 @@ Arms can be put into force fields (`InField`).
 
 from .._function_plant import FunctionPlant
 from ._acrobot import Acrobot
-from ._arm import TorqueArm, TwoLinkArm
+from ._arm import TorqueArm
 from ._car import Car
 from ._cart_pole import CartPole
 from ._chain import Chain
 from ._field import AbstractField, Channel, ConstantForce, Curl, InField
 from ._free_hand import FreeHand, PolynomialJerk
 from ._muscle import (
+    Muscles,
     activation_rate,
     active_state,
     control_of_rate,
@@ -20,25 +21,32 @@ from ._muscle import (
     passive_force,
     tension,
 )
-from ._muscle_arm import MUSCLES, MuscleArm
+from ._muscle_arm import MUSCLES, MuscleArm, MusculoskeletalArm
+from ._paths import AbstractPaths, CosinePaths
 from ._pendulum import Pendulum
 from ._quadrotor import PlanarQuadrotor
 from ._rate import RateControlled
+from ._skeleton import AbstractSkeleton, TwoLinkArm
 
 __all__ = [
     "MUSCLES",
     "AbstractField",
+    "AbstractPaths",
+    "AbstractSkeleton",
     "Acrobot",
     "Car",
     "CartPole",
     "Chain",
     "Channel",
     "ConstantForce",
+    "CosinePaths",
     "Curl",
     "FreeHand",
     "FunctionPlant",
     "InField",
     "MuscleArm",
+    "Muscles",
+    "MusculoskeletalArm",
     "Pendulum",
     "PlanarQuadrotor",
     "PolynomialJerk",

@@ -1,12 +1,13 @@
 """The acrobot: a double pendulum that is moved by its elbow alone."""
 
-import equinox as eqx
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from .._plant import AbstractArm
 from .._types import Bounds, as_bounds
-from ._parameters import parameter, positive, state_part
+from ._parameters import parameter, positive, radians
 
 
 class Acrobot(AbstractArm):
@@ -35,18 +36,16 @@ class Acrobot(AbstractArm):
     centre that is not positive, a negative inertia or friction, or a wrong shape.
     """
 
-    nx: int = eqx.field(static=True)
-    nu: int = eqx.field(static=True)
-    num_joints: int = eqx.field(static=True)
-    discrete: bool = eqx.field(static=True)
+    nx: ClassVar[int] = 4
+    nu: ClassVar[int] = 1
+    num_joints: ClassVar[int] = 2
     m: Float[Array, "2"]
     l: Float[Array, "2"]
-    centre: Float[Array, "2"]
+    given_centre: Float[Array, "2"] | None
     inertia: Float[Array, "2"]
     friction: Float[Array, "2"]
     g: Float[Array, ""]
     control_bounds: Bounds | None
-    nominal_control: Float[Array, " nu"]
 
     def __init__(
         self,
@@ -59,15 +58,18 @@ class Acrobot(AbstractArm):
         g: ArrayLike = 9.81,
         control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
     ):
-        self.nx, self.nu, self.num_joints, self.discrete = 4, 1, 2, False
         self.m = positive("m", m, (2,))
         self.l = positive("l", l, (2,))
-        self.centre = self.l if centre is None else positive("centre", centre, (2,))
+        self.given_centre = None if centre is None else positive("centre", centre, (2,))
         self.inertia = parameter("inertia", inertia, (2,), minimum=0.0)
         self.friction = parameter("friction", friction, (2,), minimum=0.0)
         self.g = parameter("g", g)
         self.control_bounds = as_bounds(control_bounds, (1,))
-        self.nominal_control = jnp.zeros((1,), self.m.dtype)
+
+    @property
+    def centre(self) -> Float[Array, "2"]:
+        """Distances of the centres of mass from the upper ends [m], shape (2,); l unless given."""
+        return self.l if self.given_centre is None else self.given_centre
 
     def __call__(self, x, u, t):
         """Return (dq, ddq), shape (4,)."""
@@ -113,7 +115,7 @@ class Acrobot(AbstractArm):
     def at_rest(self, shoulder: ArrayLike, elbow: ArrayLike = 0.0) -> Float[Array, "4"]:
         """Return the state (shoulder, elbow, 0, 0), shape (4,), for angles in rad.
 
-        Raises ValueError when an angle is not a finite scalar.
+        Raises ValueError when an angle is not a finite scalar, or can only be in degrees.
         """
-        q = (state_part("shoulder", shoulder, self.m), state_part("elbow", elbow, self.m))
+        q = (radians("shoulder", shoulder, self.m), radians("elbow", elbow, self.m))
         return jnp.stack([*q, jnp.zeros_like(q[0]), jnp.zeros_like(q[1])])

@@ -1,12 +1,16 @@
 """A pole on a cart that is pushed along a rail: two joints and one actuator."""
 
+from dataclasses import KW_ONLY
+from functools import partial
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from .._plant import AbstractArm
 from .._types import Bounds, as_bounds
-from ._parameters import parameter, positive, state_part
+from ._parameters import parameter, positive, radians, state_part
 
 
 class CartPole(AbstractArm):
@@ -34,33 +38,17 @@ class CartPole(AbstractArm):
     positive, or a wrong shape.
     """
 
-    nx: int = eqx.field(static=True)
-    nu: int = eqx.field(static=True)
-    num_joints: int = eqx.field(static=True)
-    discrete: bool = eqx.field(static=True)
-    M: Float[Array, ""]
-    m: Float[Array, ""]
-    l: Float[Array, ""]
-    g: Float[Array, ""]
-    control_bounds: Bounds | None
-    nominal_control: Float[Array, " nu"]
-
-    def __init__(
-        self,
-        *,
-        M: ArrayLike = 1.0,
-        m: ArrayLike = 0.2,
-        l: ArrayLike = 0.5,
-        g: ArrayLike = 9.81,
-        control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
-    ):
-        self.nx, self.nu, self.num_joints, self.discrete = 4, 1, 2, False
-        self.M = positive("M", M)
-        self.m = positive("m", m)
-        self.l = positive("l", l)
-        self.g = parameter("g", g)
-        self.control_bounds = as_bounds(control_bounds, (1,))
-        self.nominal_control = jnp.zeros((1,), self.M.dtype)
+    nx: ClassVar[int] = 4
+    nu: ClassVar[int] = 1
+    num_joints: ClassVar[int] = 2
+    _: KW_ONLY
+    M: Float[Array, ""] = eqx.field(converter=partial(positive, "M"), default=1.0)
+    m: Float[Array, ""] = eqx.field(converter=partial(positive, "m"), default=0.2)
+    l: Float[Array, ""] = eqx.field(converter=partial(positive, "l"), default=0.5)
+    g: Float[Array, ""] = eqx.field(converter=partial(parameter, "g"), default=9.81)
+    control_bounds: Bounds | None = eqx.field(
+        converter=partial(as_bounds, shape=(1,)), default=None
+    )
 
     def __call__(self, x, u, t):
         """Return (dq, ddq), shape (4,)."""
@@ -91,7 +79,7 @@ class CartPole(AbstractArm):
     def at_rest(self, position: ArrayLike = 0.0, angle: ArrayLike = 0.0) -> Float[Array, "4"]:
         """Return the state (position [m], angle [rad], 0, 0), shape (4,).
 
-        Raises ValueError when one of them is not a finite scalar.
+        Raises ValueError when one of them is not a finite scalar, or the angle in degrees.
         """
-        q = (state_part("position", position, self.l), state_part("angle", angle, self.l))
+        q = (state_part("position", position, self.l), radians("angle", angle, self.l))
         return jnp.stack([*q, jnp.zeros_like(q[0]), jnp.zeros_like(q[1])])

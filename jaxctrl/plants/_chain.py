@@ -8,7 +8,7 @@ from jaxtyping import Array, ArrayLike, Float
 from .._checks import check_integer
 from .._plant import AbstractArm
 from .._types import Bounds, as_bounds
-from ._parameters import parameter, positive, state_part
+from ._parameters import parameter, positive, radians
 
 TOTAL_LENGTH = 0.63
 """Length of the whole chain [m], that of the two-link arm; our choice."""
@@ -46,16 +46,12 @@ class Chain(AbstractArm):
     negative friction, or a wrong shape.
     """
 
-    nx: int = eqx.field(static=True)
-    nu: int = eqx.field(static=True)
     num_joints: int = eqx.field(static=True)
-    discrete: bool = eqx.field(static=True)
     length: Float[Array, " n"]
     mass: Float[Array, " n"]
     friction: Float[Array, " n"]
     gravity: Float[Array, ""]
     control_bounds: Bounds | None
-    nominal_control: Float[Array, " nu"]
 
     def __init__(
         self,
@@ -67,8 +63,7 @@ class Chain(AbstractArm):
         gravity: ArrayLike = 0.0,
         control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
     ):
-        n = check_integer("n", n, 1)
-        self.nx, self.nu, self.num_joints, self.discrete = 2 * n, n, n, False
+        self.num_joints = n = check_integer("n", n, 1)
         self.length = positive("length", TOTAL_LENGTH / n if length is None else length, (n,))
         self.mass = positive("mass", TOTAL_MASS / n if mass is None else mass, (n,))
         self.friction = parameter(
@@ -76,7 +71,16 @@ class Chain(AbstractArm):
         )
         self.gravity = parameter("gravity", gravity)
         self.control_bounds = as_bounds(control_bounds, (n,))
-        self.nominal_control = jnp.zeros((n,), self.mass.dtype)
+
+    @property
+    def nx(self) -> int:
+        """Size of the state, 2 n."""
+        return 2 * self.num_joints
+
+    @property
+    def nu(self) -> int:
+        """Number of torques, n."""
+        return self.num_joints
 
     def __call__(self, x, u, t):
         """Return (dq, ddq), shape (2 n,)."""
@@ -176,7 +180,7 @@ class Chain(AbstractArm):
     def at_rest(self, q: ArrayLike) -> Float[Array, " nx"]:
         """Return the state (q, 0), shape (2 n,), for relative joint angles [rad], scalar or (n,).
 
-        Raises ValueError for what is not finite or not of these shapes.
+        Raises ValueError for what is not finite, not of these shapes, or in degrees.
         """
-        q = state_part("q", q, self.length, (self.num_joints,))
+        q = radians("q", q, self.length, (self.num_joints,))
         return jnp.concatenate([q, jnp.zeros_like(q)])

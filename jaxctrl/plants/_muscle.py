@@ -15,14 +15,19 @@ Tension is once, not twice, continuously differentiable: F_L'' diverges at l = 1
 v = 0, and the rate of activation has a kink at u = a. All derivatives returned are finite there.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
+
+from ._parameters import positive
 
 ACTIVATION_TIME = 0.050
 """Time constant t_a of a rising activation [s] (Li & Todorov 2004)."""
 DEACTIVATION_TIME = 0.066
 """Time constant t_d of a falling activation [s] (Li & Todorov 2004)."""
+SPECIFIC_TENSION = 31.8
+"""Peak force per cross-section [N/cm^2] (Brown, Cheng & Loeb 1999; Van Wouwe et al. 2022)."""
 SMALLEST_ACTIVATION = 1e-9
 """Below it the active state is flat, which keeps derivatives finite; our choice."""
 
@@ -158,3 +163,57 @@ def _tension_jvp(primals, tangents):
     value, pull = jax.vjp(_product, *primals)
     by_a, by_l, by_v = pull(jnp.ones_like(value))
     return value, by_a * tangents[0] + by_l * tangents[1] + by_v * tangents[2]
+
+
+class Muscles(eqx.Module):
+    """What m muscles pull with, and how fast they are switched on and off.
+
+    F0 = specific tension times cross-section,  da/dt = (u - a)/t(u, a)     (Li 2006, eq. 3.14)
+
+    Arguments:
+        pcsa: physiological cross-sections [cm^2], shape (m,).
+        specific_tension: peak force per cross-section [N/cm^2].
+        activation_time, deactivation_time: t_a and t_d [s].
+
+    Raises ValueError, naming the argument, for numbers that are not positive, or a wrong shape.
+    """
+
+    m: int = eqx.field(static=True)
+    pcsa: Float[Array, " m"]
+    specific_tension: Float[Array, ""]
+    activation_time: Float[Array, ""]
+    deactivation_time: Float[Array, ""]
+
+    def __init__(
+        self,
+        pcsa: ArrayLike,
+        *,
+        specific_tension: ArrayLike = SPECIFIC_TENSION,
+        activation_time: ArrayLike = ACTIVATION_TIME,
+        deactivation_time: ArrayLike = DEACTIVATION_TIME,
+    ):
+        if jnp.ndim(pcsa) != 1:
+            raise ValueError(f"pcsa: shape {jnp.shape(pcsa)}, wanted (m,), one for each muscle")
+        self.m = jnp.size(pcsa)
+        self.pcsa = positive("pcsa", pcsa, (self.m,))
+        self.specific_tension = positive("specific_tension", specific_tension)
+        self.activation_time = positive("activation_time", activation_time)
+        self.deactivation_time = positive("deactivation_time", deactivation_time)
+
+    @property
+    def peak_force(self) -> Float[Array, " m"]:
+        """Peak isometric forces F0 [N], shape (m,)."""
+        return self.specific_tension * self.pcsa
+
+    def tension(
+        self, a: Float[Array, " m"], l: Float[Array, " m"], v: Float[Array, " m"]
+    ) -> Float[Array, " m"]:
+        """Return the tensions T [N], shape (m,), for activation, length [L0] and velocity [L0/s].
+
+        Each of shape (m,); see the function `tension`.
+        """
+        return self.peak_force * tension(a, l, v)
+
+    def activation_rate(self, a: Float[Array, " m"], u: Float[Array, " m"]) -> Float[Array, " m"]:
+        """Return da/dt [1/s], shape (m,), for activations and excitations between 0 and 1, (m,)."""
+        return activation_rate(a, u, self.activation_time, self.deactivation_time)

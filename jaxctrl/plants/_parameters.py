@@ -1,6 +1,7 @@
 """Physical parameters: arrays with a gradient, checked wherever their values can be known."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import known as known, parameter as parameter, positive as positive
@@ -15,6 +16,19 @@ def state_part(
     """
     parameter(name, value, shape)
     return jnp.broadcast_to(like(value, leaf), shape)
+
+
+def radians(
+    name: str, value: ArrayLike, leaf: Float[Array, "..."], shape: tuple[int, ...] = ()
+) -> Array:
+    """Return angles of a state at rest [rad] as `state_part` does.
+
+    Raises ValueError, naming the argument, where one is known to be beyond two turns.
+    """
+    part, numbers = state_part(name, value, leaf, shape), known(value)
+    if numbers is not None and (np.abs(numbers) > 4 * np.pi).any():
+        raise ValueError(f"{name}: {value} is more than two turns; are these radians?")
+    return part
 
 
 def like(value: ArrayLike, leaf: Float[Array, "..."]) -> Array:

@@ -1,12 +1,16 @@
 """The inverted pendulum: the smallest nonlinear plant, and smooth everywhere."""
 
+from dataclasses import KW_ONLY
+from functools import partial
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from .._plant import AbstractArm
 from .._types import Bounds, as_bounds
-from ._parameters import parameter, positive, state_part
+from ._parameters import parameter, positive, radians
 
 
 class Pendulum(AbstractArm):
@@ -29,33 +33,19 @@ class Pendulum(AbstractArm):
     a mass or a length that is not positive, a negative friction, or a wrong shape.
     """
 
-    nx: int = eqx.field(static=True)
-    nu: int = eqx.field(static=True)
-    num_joints: int = eqx.field(static=True)
-    discrete: bool = eqx.field(static=True)
-    m: Float[Array, ""]
-    l: Float[Array, ""]
-    g: Float[Array, ""]
-    friction: Float[Array, ""]
-    control_bounds: Bounds | None
-    nominal_control: Float[Array, " nu"]
-
-    def __init__(
-        self,
-        *,
-        m: ArrayLike = 1.0,
-        l: ArrayLike = 1.0,
-        g: ArrayLike = 9.8,
-        friction: ArrayLike = 0.01,
-        control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
-    ):
-        self.nx, self.nu, self.num_joints, self.discrete = 2, 1, 1, False
-        self.m = positive("m", m)
-        self.l = positive("l", l)
-        self.g = parameter("g", g)
-        self.friction = parameter("friction", friction, minimum=0.0)
-        self.control_bounds = as_bounds(control_bounds, (1,))
-        self.nominal_control = jnp.zeros((1,), self.m.dtype)
+    nx: ClassVar[int] = 2
+    nu: ClassVar[int] = 1
+    num_joints: ClassVar[int] = 1
+    _: KW_ONLY
+    m: Float[Array, ""] = eqx.field(converter=partial(positive, "m"), default=1.0)
+    l: Float[Array, ""] = eqx.field(converter=partial(positive, "l"), default=1.0)
+    g: Float[Array, ""] = eqx.field(converter=partial(parameter, "g"), default=9.8)
+    friction: Float[Array, ""] = eqx.field(
+        converter=partial(parameter, "friction", minimum=0.0), default=0.01
+    )
+    control_bounds: Bounds | None = eqx.field(
+        converter=partial(as_bounds, shape=(1,)), default=None
+    )
 
     def __call__(self, x, u, t):
         """Return (x2, g/l sin x1 - (mu x2 - u)/(m l^2)), shape (2,)."""
@@ -83,7 +73,7 @@ class Pendulum(AbstractArm):
     def at_rest(self, angle: ArrayLike) -> Float[Array, "2"]:
         """Return the state (angle, 0), shape (2,), for an angle from upright [rad].
 
-        Raises ValueError when the angle is not a finite scalar.
+        Raises ValueError when the angle is not a finite scalar, or can only be in degrees.
         """
-        angle = state_part("angle", angle, self.m)
-        return jnp.stack([angle, jnp.zeros_like(angle)])
+        q = radians("angle", angle, self.m)
+        return jnp.stack([q, jnp.zeros_like(q)])

@@ -1,12 +1,13 @@
 """A quadrotor in a vertical plane: a rigid body on two rotors."""
 
-import equinox as eqx
+from typing import ClassVar
+
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from .._plant import AbstractPlant
 from .._types import Bounds, as_bounds
-from ._parameters import like, parameter, positive, state_part
+from ._parameters import like, parameter, positive, radians, state_part
 
 
 class PlanarQuadrotor(AbstractPlant):
@@ -30,15 +31,13 @@ class PlanarQuadrotor(AbstractPlant):
     argument, for a mass, a distance or an inertia that is not positive, or a wrong shape.
     """
 
-    nx: int = eqx.field(static=True)
-    nu: int = eqx.field(static=True)
-    discrete: bool = eqx.field(static=True)
+    nx: ClassVar[int] = 6
+    nu: ClassVar[int] = 2
     m: Float[Array, ""]
     l: Float[Array, ""]
-    inertia: Float[Array, ""]
+    given_inertia: Float[Array, ""] | None
     g: Float[Array, ""]
     control_bounds: Bounds | None
-    nominal_control: Float[Array, " nu"]
 
     def __init__(
         self,
@@ -49,13 +48,22 @@ class PlanarQuadrotor(AbstractPlant):
         g: ArrayLike = 9.81,
         control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
     ):
-        self.nx, self.nu, self.discrete = 6, 2, False
         self.m = positive("m", m)
         self.l = positive("l", l)
-        self.inertia = positive("inertia", 0.2 * self.m * self.l**2 if inertia is None else inertia)
+        self.given_inertia = None if inertia is None else positive("inertia", inertia)
         self.g = parameter("g", g)
         self.control_bounds = as_bounds(control_bounds, (2,))
-        self.nominal_control = jnp.broadcast_to(0.5 * self.m * self.g, (2,))
+
+    @property
+    def inertia(self) -> Float[Array, ""]:
+        """J [kg m^2], shape (); 0.2 m l^2 unless given."""
+        given = self.given_inertia
+        return 0.2 * self.m * self.l**2 if given is None else given
+
+    @property
+    def nominal_control(self) -> Float[Array, "2"]:
+        """The thrusts that hover, m g/2 each [N], shape (2,)."""
+        return jnp.broadcast_to(0.5 * self.m * self.g, (2,))
 
     def __call__(self, x, u, t):
         """Return (dx, dy, dq, ddx, ddy, ddq), shape (6,)."""
@@ -67,11 +75,11 @@ class PlanarQuadrotor(AbstractPlant):
     def at_rest(self, position: Float[ArrayLike, "2"], tilt: ArrayLike = 0.0) -> Float[Array, "6"]:
         """Return the state (position (2,) [m], tilt [rad], 0, 0, 0), shape (6,).
 
-        Raises ValueError for another shape, or a number that is not finite.
+        Raises ValueError for another shape, a number that is not finite, or a tilt in degrees.
         """
         if jnp.shape(position) != (2,):
             raise ValueError(f"position: got shape {jnp.shape(position)}, wanted (2,)")
         state_part("position", position, self.m, (2,))
-        tilt = state_part("tilt", tilt, self.m)
+        tilt = radians("tilt", tilt, self.m)
         q = jnp.concatenate([like(position, self.m), tilt[None]])
         return jnp.concatenate([q, jnp.zeros_like(q)])

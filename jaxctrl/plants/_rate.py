@@ -68,6 +68,11 @@ class RateControlled(AbstractArm):
         )
 
     @property
+    def dim(self) -> int:
+        """That of the arm's hand, 2 or 3."""
+        return self.arm.dim
+
+    @property
     def longest_reach(self) -> Float[Array, ""]:
         """That of the arm [m], shape ()."""
         return self.arm.longest_reach

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._jacobian import dependence, jacobian
 from .._linalg import solve_positive
+from .._plant import nominal_control
 from .._problem import Problem
 from ..linear._boxqp import box_qp
 
@@ -79,7 +80,8 @@ class Hamiltonian(eqx.Module):
         def value(u):
             return self._moved_value(rows, u, x_, p_, t)
 
-        u = _minimise(value, self.problem.plant.nominal_control, lower, upper)
+        nominal = nominal_control(self.problem.plant).astype(lower.dtype)
+        u = _minimise(value, nominal, lower, upper)
         # One more step, of length zero but for its derivative.
         u = jax.lax.stop_gradient(u)
         gradient = jax.grad(self._moved_value, argnums=1)(rows, u, x, p, t)

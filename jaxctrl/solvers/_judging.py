@@ -56,11 +56,13 @@ def input_status(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T 
         infeasible = Status.of(Reason.INFEASIBLE_BOUNDS, jnp.argmax(crossed))
         status = _status.where(crossed.any(), infeasible, status)
     status = _status.where(problem.dt > 0, status, Status.of(Reason.INVALID_TIME_STEP))
-    # Bounds alone may be infinite.
-    plant = eqx.tree_at(
-        lambda p: p.control_bounds, problem.plant, None, is_leaf=lambda leaf: leaf is None
-    )
-    inputs = eqx.filter((plant, problem.cost, problem.dt, x0, us), eqx.is_inexact_array)
+    every = jax.tree_util.tree_leaves_with_path((problem.plant, problem.cost, problem.dt, x0, us))
+    inputs = [
+        leaf
+        for path, leaf in every
+        # Bounds alone may be infinite.
+        if eqx.is_inexact_array(leaf) and "control_bounds" not in jax.tree_util.keystr(path)
+    ]
     finite = jnp.isfinite(jax.flatten_util.ravel_pytree(inputs)[0]).all()
     if bounds is not None:
         finite &= ~jnp.isnan(bounds[0]).any() & ~jnp.isnan(bounds[1]).any()

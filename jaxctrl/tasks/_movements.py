@@ -48,7 +48,7 @@ def _problem(
 
 def reach(
     plant: AbstractHand,
-    target: Float[ArrayLike, "2"],
+    target: Float[ArrayLike, " dim"],
     duration: ArrayLike = 0.5,
     *,
     num_steps: int | None = None,
@@ -64,7 +64,7 @@ def reach(
 
     Arguments:
         plant: any with a hand: an arm, an arm in a force field.
-        target: e* [m], shape (2,).
+        target: e* [m], shape (dim,): (2,), or (3,) for a hand in space.
         duration: T [s], at most 100 s, so that milliseconds are noticed.
         num_steps: steps in it; by default as many as make the time step about 10 ms. Static.
         position_weight, velocity_weight: w1 [1/m^2] and w2 [s^2/m^2]; 1 and 0.01 are our choice.
@@ -77,7 +77,7 @@ def reach(
     return hit(
         plant,
         target,
-        jnp.zeros(2),
+        jnp.zeros(check_hand(plant).dim),
         duration,
         num_steps=num_steps,
         position_weight=position_weight,
@@ -90,8 +90,8 @@ def reach(
 
 def hit(
     plant: AbstractHand,
-    target: Float[ArrayLike, "2"],
-    velocity: Float[ArrayLike, "2"],
+    target: Float[ArrayLike, " dim"],
+    velocity: Float[ArrayLike, " dim"],
     duration: ArrayLike = 0.5,
     *,
     num_steps: int | None = None,
@@ -105,14 +105,15 @@ def hit(
 
     J = w1 |e(T) - e*|^2 + w2 |de(T)/dt - v*|^2 + int r |u|^2 / 2 dt  (Li 2006, eq. 3.22)
 
-    Arguments as in `reach`, and velocity: v* [m/s], shape (2,).
+    Arguments as in `reach`, and velocity: v* [m/s], shape (dim,).
     """
     check_weights(position_weight=position_weight, velocity_weight=velocity_weight)
-    plant, target = check_hand(plant), check_array("target", target, (2,))
+    plant = check_hand(plant)
+    target = check_array("target", target, (plant.dim,))
     check_reach(plant, "target", target)
     cost = HandTarget(
         target,
-        check_array("velocity", velocity, (2,)),
+        check_array("velocity", velocity, (plant.dim,)),
         position_weight,
         velocity_weight,
     )
@@ -178,8 +179,8 @@ def swing_up(
 
 def obstacle(
     plant: AbstractHand,
-    target: Float[ArrayLike, "2"],
-    centre: Float[ArrayLike, "2"],
+    target: Float[ArrayLike, " dim"],
+    centre: Float[ArrayLike, " dim"],
     radius: ArrayLike = 0.02,
     duration: ArrayLike = 0.5,
     *,
@@ -193,7 +194,7 @@ def obstacle(
     The disc is kept clear at the grid points; between them a fast hand may cut its rim.
 
     Arguments:
-        centre, radius: e_ob [m], shape (2,), and r_ob [m].
+        centre, radius: e_ob [m], shape (dim,), and r_ob [m].
         obstacle_weight: k1 [m^2/s]. The larger beside the rest of the cost, the wider the
             detour: muscles, whose effort is small, go around further than torques do. Either side
             may be a local optimum: try other starts.
@@ -205,7 +206,7 @@ def obstacle(
     """
     check_weights(radius=radius, obstacle_weight=obstacle_weight)
     problem = reach(plant, target, duration, **reach_arguments)
-    centre = check_array("centre", centre, (2,))
+    centre = check_array("centre", centre, (plant.dim,))
     disc = Obstacle(centre, check_array("radius", radius, ()), obstacle_weight)
     target = jnp.asarray(target)
     if is_concrete(target, centre, disc.radius) and not disc.clearance(target) > 0:
@@ -218,8 +219,8 @@ def obstacle(
 
 def via(
     plant: AbstractHand,
-    target: Float[ArrayLike, "2"],
-    points: Float[ArrayLike, "m 2"],
+    target: Float[ArrayLike, " dim"],
+    points: Float[ArrayLike, "m dim"],
     times: Float[ArrayLike, " m"],
     duration: ArrayLike = 0.5,
     *,
@@ -234,7 +235,7 @@ def via(
     gradients.
 
     Arguments:
-        points: e_i [m], shape (m, 2). times: t_i [s], shape (m,), within the duration.
+        points: e_i [m], shape (m, dim). times: t_i [s], shape (m,), within the duration.
         via_weight: w [1/m^2], scalar or shape (m,).
         plant, target, duration and all further arguments: as in `reach`.
 
@@ -244,7 +245,7 @@ def via(
     problem = reach(plant, target, duration, **reach_arguments)
     m = np.shape(times)[0] if np.ndim(times) == 1 else 1
     times = check_array("times", times, (m,))
-    points = check_array("points", points, (m, 2), "one row for each of `times`")
+    points = check_array("points", points, (m, plant.dim), "one row for each of `times`")
     check_reach(plant, "points", points)
     if is_concrete(times, problem.dt):
         known, last = np.asarray(times), problem.num_steps * float(np.asarray(problem.dt))
@@ -255,7 +256,7 @@ def via(
 
 def track(
     plant: AbstractHand,
-    path: Float[ArrayLike, "m 2"] | Callable[[Float[Array, ""]], Float[ArrayLike, "2"]],
+    path: Float[ArrayLike, "m dim"] | Callable[[Float[Array, ""]], Float[ArrayLike, " dim"]],
     duration: ArrayLike,
     *,
     num_steps: int | None = None,
@@ -272,9 +273,9 @@ def track(
 
     Arguments:
         plant: any with a hand.
-        path: e*, positions [m] evenly spaced in time from 0 to T, shape (m, 2), m >= 2, linear in
+        path: e*, positions [m] evenly spaced in time from 0 to T, shape (m, dim), m >= 2, linear in
             between; or a function of the time t [s], written in jax.numpy, that returns one, shape
-            (2,), and is sampled at the grid points. Start the hand where the path starts.
+            (dim,), and is sampled at the grid points. Start the hand where the path starts.
         duration: T [s], at most 1000 s.
         path_weight: w [1/(m^2 s)]; 10 is our choice.
         num_steps, effort, motor_noise, integrator: as in `reach`.
@@ -288,9 +289,9 @@ def track(
         position = path  # may return a list of two
         path = jax.vmap(lambda t: jnp.asarray(position(t)))(jnp.arange(num_steps + 1) * dt)
     shape = np.shape(path)
-    if len(shape) != 2 or shape[0] < 2 or shape[1] != 2:
-        hint = "; transpose it" if len(shape) == 2 and shape[0] == 2 else ""
-        raise ValueError(f"path: got shape {shape}, wanted (m, 2) with m >= 2{hint}")
+    if len(shape) != 2 or shape[0] < 2 or shape[1] != plant.dim:
+        hint = "; transpose it" if len(shape) == 2 and shape[0] == plant.dim else ""
+        raise ValueError(f"path: got shape {shape}, wanted (m, {plant.dim}) with m >= 2{hint}")
     points = check_array("path", path, shape)
     check_reach(plant, "path", points)
     cost = HandPath(points, duration, path_weight, path_weight * dt)
@@ -358,6 +359,8 @@ def centre_out(
     """
     n = check_integer("n", n, 1)
     x0 = check_array("x0", x0, (check_hand(plant).nx,))
+    if plant.dim != 2:
+        raise ValueError(f"plant: a hand in the plane is wanted, got one in {plant.dim} dimensions")
     num_steps, dt = grid(duration, reach_arguments.pop("num_steps", None))
     angles = 2 * jnp.pi * jnp.arange(n) / n
     offsets = radius * jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=1)

@@ -194,10 +194,15 @@ def test_an_arm_in_a_field_is_otherwise_that_arm():
     [
         (lambda: Curl([1.0, 2.0]), ValueError, r"^gain: shape \(2,\), wanted \(\)"),
         (lambda: Curl(np.nan), ValueError, "^gain: finite numbers"),
-        (lambda: ConstantForce([1.0, 2.0, 3.0]), ValueError, r"^force: shape \(3,\)"),
+        (lambda: ConstantForce(np.ones(4)), ValueError, r"^force: shape \(4,\), wanted \(2,\), or"),
         (lambda: ConstantForce([1.0, np.inf]), ValueError, "^force: finite numbers"),
         (lambda: Channel([0.0, 0.1], [0.0, 0.1]), ValueError, "^target: the same as start"),
-        (lambda: Channel([0.0, 0.1, 0.2], [0.0, 0.1]), ValueError, r"^start: shape \(3,\)"),
+        (lambda: Channel([0.0, 0.1, 0.2], [0.0, 0.1]), ValueError, r"^target: shape \(2,\)"),
+        (
+            lambda: InField(TorqueArm(), ConstantForce([1.0, 2.0, 3.0])),
+            ValueError,
+            r"^field: a force of shape \(3,\), wanted \(2,\)",
+        ),
         (
             lambda: Channel([0.0, 0.1], [0.0, 0.2], stiffness=-1.0),
             ValueError,

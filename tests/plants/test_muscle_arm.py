@@ -33,8 +33,9 @@ def test_peak_forces_are_31_8_newtons_per_square_centimetre():
 
 def test_kappa_from_the_length_ranges_is_that_of_van_wouwe_to_all_digits():
     want = [5.20634, 7.53892, 3.93810, 3.03152, 2.52278, 1.82637]
-    np.testing.assert_allclose(MuscleArm().kappa, want, atol=5e-6)
-    np.testing.assert_allclose(MuscleArm().length_at_zero, [1.1, 0.8, 1.2, 0.7, 1.1, 0.85])
+    paths = MuscleArm().paths
+    np.testing.assert_allclose(1 / paths.optimal_length, want, atol=5e-6)
+    np.testing.assert_allclose(paths.length_at_zero, [1.1, 0.8, 1.2, 0.7, 1.1, 0.85])
 
 
 def test_moment_arms_are_those_of_the_table():
@@ -54,13 +55,12 @@ def test_each_muscle_runs_through_its_range_of_lengths(arms):
 
 
 @pytest.mark.parametrize("arms", ["cosine", "constant"])
-def test_moment_arms_are_the_derivatives_of_the_lengths(arms):
+def test_torques_are_the_tables_moment_arms_times_the_tensions(arms):
     arm, q = MuscleArm(arms=arms), postures()
-    slopes, arms = jax.jit(
-        jax.vmap(lambda q: (jax.jacfwd(arm.muscle_length)(q), arm.moment_arms(q)))
-    )(q)
-    want = np.swapaxes(-arm.kappa * arms, -1, -2)
-    np.testing.assert_allclose(slopes, want, rtol=0, atol=1e-14)
+    table = KATAYAMA if arms == "constant" else ALPHA + BETA * np.cos(1.9 * q)[:, :, None]
+    tension = np.random.default_rng(2).uniform(0, 500, (len(q), 6))
+    got = jax.vmap(arm.paths.torque)(q, tension)
+    np.testing.assert_allclose(got, (table * tension[:, None]).sum(2), rtol=0, atol=1e-13)
 
 
 def test_the_muscle_velocity_is_the_rate_of_the_length():
@@ -101,7 +101,7 @@ def test_power_of_the_muscles_is_the_same_at_the_joints():
     """Tendons do not store energy: torque times joint rates is tension times shortening."""
     arm = MuscleArm()
     x = jnp.concatenate([START, jnp.array([0.7, -1.1]), jnp.linspace(0.1, 0.9, 6)])
-    shortening = -arm.muscle_velocity(x[:2], x[2:4]) / arm.kappa
+    shortening = -arm.muscle_velocity(x[:2], x[2:4]) * arm.paths.optimal_length
     want = jnp.sum(arm.muscle_tension(x) * shortening)
     np.testing.assert_allclose(arm.muscle_torque(x) @ x[2:4], want, rtol=1e-13)
 
@@ -143,7 +143,7 @@ def test_derivatives_are_finite_at_every_kink():
     for length in [0.0, *arm.muscle_length(START)]:
         # Moving its range of lengths brings one muscle to length 1 at this posture.
         shift = 1 - length if length else 0.0
-        moved = MuscleArm(shortest=arm.shortest + shift, longest=arm.longest + shift)
+        moved = MuscleArm(shortest=arm.paths.shortest + shift, longest=arm.paths.longest + shift)
         for activation in (0.0, 0.3):
             first, second = derivatives(moved, moved.at_rest(*START, activation=activation))
             assert jnp.isfinite(first).all() and jnp.isfinite(second).all()
@@ -184,8 +184,10 @@ def test_a_state_at_rest_wants_six_activations_or_one():
 
 
 def test_every_physical_parameter_is_an_argument_and_a_leaf():
-    names = set(inspect.signature(MuscleArm.__init__).parameters)
-    leaves = {"alpha", "beta", "arm_frequency", "pcsa", "specific_tension", "shortest", "longest"}
-    leaves |= {"activation_time", "deactivation_time"}
-    assert leaves <= names
-    assert all(isinstance(getattr(MuscleArm(), name), jax.Array) for name in leaves)
+    arm, names = MuscleArm(), set(inspect.signature(MuscleArm.__init__).parameters)
+    leaves = dict.fromkeys(("alpha", "beta", "arm_frequency", "shortest", "longest"), arm.paths)
+    leaves |= dict.fromkeys(("pcsa", "specific_tension"), arm.muscles)
+    leaves |= dict.fromkeys(("activation_time", "deactivation_time"), arm.muscles)
+    assert set(leaves) <= names
+    assert all(isinstance(getattr(part, name), jax.Array) for name, part in leaves.items())
+    assert isinstance(arm.skeleton.m2, jax.Array)  # README

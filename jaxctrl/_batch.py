@@ -61,8 +61,7 @@ def solve_batch(
     sizes = {"problem": len(problem.dt)} if batched else {}
     lanes: list[Any] = [problem if batched else None, None, None]
     fixed: list[Any] = [None if batched else problem, None, None]
-    given: tuple[tuple[str, Any, int], ...] = (("x0s", x0s, 1), ("uss", uss, 2))
-    for i, (name, value, rank) in enumerate(given, start=1):
+    for i, (name, value, rank) in enumerate((("x0s", x0s, 1), ("uss", uss, 2)), start=1):
         if value is None:
             continue
         if rank == 2 and isinstance(value, AffinePolicy):
@@ -74,9 +73,10 @@ def solve_batch(
         shape = shape_of(value)
         if len(shape) == rank + 1:
             sizes[name] = shape[0]
-            lanes[i] = check_array(name, value, (shape[0], *single))
+            lanes[i] = check_array(name, value, (shape[0], *single))  # pyright: ignore
         else:
-            fixed[i] = check_array(name, value, single, f"or (B, {', '.join(map(str, single))})")
+            hint = f"or (B, {', '.join(map(str, single))})"
+            fixed[i] = check_array(name, value, single, hint)  # pyright: ignore
     if not sizes or len(set(sizes.values())) > 1 or 0 in sizes.values():
         got = ", ".join(f"{name} of {size}" for name, size in sizes.items()) or "no such axis"
         raise ValueError(

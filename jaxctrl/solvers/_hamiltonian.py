@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._jacobian import dependence, jacobian
+from .._jacobian import dependence, gradient, jacobian
 from .._linalg import solve_positive
 from .._plant import nominal_control
 from .._problem import Problem
@@ -84,11 +84,12 @@ class Hamiltonian(eqx.Module):
         u, certain = _minimise(value, nominal, lower, upper)
         # One more step, of length zero but for its derivative.
         u = jax.lax.stop_gradient(u)
-        gradient = jax.grad(self._moved_value, argnums=1)(rows, u, x, p, t)
-        fixed = jax.lax.stop_gradient(gradient)
+        slope = gradient(lambda u, x, p, t: self._moved_value(rows, u, x, p, t))(u, x, p, t)
+        fixed = jax.lax.stop_gradient(slope)
         free = ~(((u <= lower) & (fixed > 0)) | ((u >= upper) & (fixed < 0)))
-        H = jnp.where(free[:, None] & free, jax.hessian(value)(u), jnp.eye(u.size, dtype=u.dtype))
-        solved, positive = solve_positive(H, jnp.where(free, gradient, 0.0)[:, None])
+        H = jax.jacfwd(gradient(value))(u)
+        H = jnp.where(free[:, None] & free, H, jnp.eye(u.size, dtype=u.dtype))
+        solved, positive = solve_positive(H, jnp.where(free, slope, 0.0)[:, None])
         step = solved[:, 0]
         plant, cost = self.problem.plant, self.problem.cost
         size = jnp.abs(cost.running(plant, x_, u, t)) + jnp.sum(jnp.abs(p_ * plant(x_, u, t)))
@@ -114,12 +115,12 @@ class Hamiltonian(eqx.Module):
         """Return dy/dt = (f, -dH/dx), shape (2 nx,), with u = u*, at y = (x, p) and t [s]."""
         x, p = jnp.split(y, 2)
         u, _ = self.minimiser(x, p, t)
-        slope = jax.grad(self.value)(x, u, p, t)
+        slope = gradient(self.value)(x, u, p, t)
         return jnp.concatenate([self.problem.plant(x, u, t), -slope])
 
     def final_slope(self, x: Float[Array, " nx"]) -> Float[Array, " nx"]:
         """Return dh/dx, shape (nx,), at the last state x (nx,)."""
-        return jax.grad(lambda x: self.problem.cost.terminal(self.problem.plant, x))(x)
+        return gradient(lambda x: self.problem.cost.terminal(self.problem.plant, x))(x)
 
 
 def _minimise(value, nominal, lower, upper):
@@ -128,7 +129,7 @@ def _minimise(value, nominal, lower, upper):
     Returns: the minimiser (nu,), and False where a quadratic program on the way to it is known not
     to have been solved; of a function that is not quadratic, only the end can tell.
     """
-    slope = jax.grad(value)
+    slope = gradient(value)
     # Known from the operations alone, whatever the numbers.
     curvature = jacobian(slope, symmetric=True)
     quadratic = not dependence(curvature, nominal).any()

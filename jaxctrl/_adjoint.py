@@ -30,6 +30,7 @@ import jax.flatten_util
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ._jacobian import push_forward
 from ._local_model import expand, stage_lagrangian
 from ._problem import Problem
 from ._solver import AbstractSolver
@@ -84,7 +85,7 @@ def _attach_jvp(primals, tangents):
         value, slopes = stage_lagrangian(problem, xs, us, p)
         return along, value, slopes, problem.bounds
 
-    _, (offset, value, (lx, lu, vx), t_bounds) = jax.jvp(local, (arrays,), (t_arrays,))
+    offset, value, (lx, lu, vx), t_bounds = push_forward(local, arrays, t_problem)
     free = side == 0
     held = jnp.zeros_like(us)
     if t_bounds is not None:

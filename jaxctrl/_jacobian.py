@@ -5,15 +5,20 @@ its own control; only the accelerations depend on nearly everything. Rows that d
 from reverse mode, one pass each; columns that then share no row are pushed forward together, many
 in one pass (Curtis, Powell & Reid 1974; Coleman & Verma 1998). On the six-muscle arm this takes a
 third of the time of forward mode alone.
+
+Reverse mode does not go through a `lax.while_loop`, whose rounds are not known when it is traced;
+forward mode does. Where there is one, all is done by forward mode.
 """
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.extend as jex
 import jax.numpy as jnp
 import numpy as np
+from equinox.internal import nondifferentiable_backward
 
 REVERSE = 2.0
 """What a reverse pass costs beside a forward one (measured)."""
@@ -27,6 +32,13 @@ _ELEMENTWISE = {
 }  # fmt: skip
 _REDUCING = {"reduce_sum", "reduce_max", "reduce_min", "reduce_prod", "reduce_and", "reduce_or"}
 _CONSTANT = {"iota", "stop_gradient"}
+_FORWARD = {"while", "custom_linear_solve"}
+"""What reverse mode may not go through."""
+NO_REVERSE = (
+    "reverse mode does not go through a lax.while_loop, nor a lax.fori_loop whose number of rounds "
+    "is traced, and there is one in the plant or in the cost; write it with a fixed number of "
+    "rounds, or give it a derivative of its own (jax.custom_jvp, jax.lax.custom_root)"
+)
 
 
 def jacobian(function: Callable, *, symmetric: bool = False) -> Callable:
@@ -37,8 +49,11 @@ def jacobian(function: Callable, *, symmetric: bool = False) -> Callable:
     """
 
     def evaluate(x, *args):
-        pattern = dependence(function, x, *args)
+        closed = _trace(function, x, *args)
+        pattern = _pattern(closed, x.shape[0], len(args))
         rows, colour = _plan(pattern, symmetric)
+        if not symmetric and len(rows) and not _reversible(closed, function, x, *args):
+            rows, colour = rows[:0], _colours(pattern)
         rest = np.delete(np.arange(len(pattern)), [] if symmetric else rows)
 
         def some(which):
@@ -109,16 +124,91 @@ def _colours(pattern: np.ndarray, alone: Sequence[int] | np.ndarray = ()) -> np.
     return colour
 
 
+def gradient(function: Callable) -> Callable:
+    """Return the function whose value is the gradient, like x (n,), of a number: as `jax.grad`."""
+    return lambda x, *args: value_and_gradient(function)(x, *args)[1]
+
+
+def value_and_gradient(function: Callable) -> Callable:
+    """Return the function whose values are a number and its gradient in the first argument (n,).
+
+    By reverse mode, as `jax.value_and_grad`; by forward mode where reverse mode cannot go through.
+    """
+
+    def evaluate(x, *args):
+        if reversible(function, x, *args):
+            return jax.value_and_grad(function)(x, *args)
+        return function(x, *args), jax.jacfwd(function)(x, *args)
+
+    return evaluate
+
+
+def reversible(function: Callable, x, *args) -> bool:
+    """Tell whether reverse mode can differentiate a function by its first argument, a pytree."""
+    return _reversible(_trace(function, x, *args), function, x, *args)
+
+
+def _reversible(closed: Any, function: Callable, x, *args) -> bool:
+    # A loop may be harmless: in a rule of its own, or independent of x. JAX knows.
+    return not _has(closed.jaxpr, _FORWARD) or _transposes(function, x, *args)
+
+
+def _transposes(function: Callable, x, *args) -> bool:
+    def pull_back(x, *args):
+        out, pull = jax.vjp(lambda x: function(x, *args), x)
+        return pull(out)
+
+    try:
+        jax.eval_shape(pull_back, *_shapes(x, *args))
+    except Exception:  # no class of its own tells this error from others
+        return False
+    return True
+
+
+def _has(jaxpr: Any, names: set[str]) -> bool:
+    """Tell whether one of these operations is in a jaxpr, or in one within it."""
+    kinds = jex.core.ClosedJaxpr | jex.core.Jaxpr
+    for equation in jaxpr.eqns:
+        inner = jax.tree.leaves(equation.params, is_leaf=lambda leaf: isinstance(leaf, kinds))
+        bodies = [getattr(leaf, "jaxpr", leaf) for leaf in inner if isinstance(leaf, kinds)]
+        if equation.primitive.name in names or any(_has(body, names) for body in bodies):
+            return True
+    return False
+
+
+def push_forward(function: Callable, x, tangents):
+    """Return a function's tangents at the pytree x, where None stands for a tangent of zero.
+
+    To transpose them, as reverse mode does, raises RuntimeError with what is missing where a loop
+    makes it impossible.
+    """
+    moved = jax.tree.map(lambda _, t: t is not None, x, tangents)
+    moving, resting = eqx.partition(x, moved)
+    some = lambda moving: function(eqx.combine(moving, resting))  # noqa: E731
+    out = jax.jvp(some, (moving,), (tangents,))[1]
+    if reversible(some, moving):
+        return out
+    return nondifferentiable_backward(out, msg=f"{NO_REVERSE}; jax.jvp and jax.jacfwd work")
+
+
+def _shapes(*args):
+    return jax.tree.map(lambda a: jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)), args)
+
+
+def _trace(function: Callable, *args) -> Any:
+    return jax.make_jaxpr(function)(*_shapes(*args))
+
+
 def dependence(function: Callable, x, *args) -> np.ndarray:
     """Return which outputs (n,) of a function may depend on which entries of x (m,): bool (n, m).
 
     Operations that are not known here count as mixing everything.
     """
-    shapes = [jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)) for a in (x, *args)]
-    closed = jax.make_jaxpr(function)(*shapes)
-    m = shapes[0].shape[0]
-    inputs = [np.eye(m, dtype=bool), *([None] * len(args))]
-    out = _follow(closed.jaxpr, inputs, m)[0]
+    return _pattern(_trace(function, x, *args), jnp.shape(x)[0], len(args))
+
+
+def _pattern(closed: Any, m: int, others: int) -> np.ndarray:
+    out = _follow(closed.jaxpr, [np.eye(m, dtype=bool), *([None] * others)], m)[0]
     shape = (*closed.out_avals[0].shape, m)
     return np.zeros(shape, bool) if out is None else np.broadcast_to(out, shape)
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ._cost import step_costs
-from ._jacobian import jacobian
+from ._jacobian import gradient, jacobian, value_and_gradient
 from ._problem import Problem
 from ._types import LocalModel
 from .linear._riccati import costates
@@ -43,9 +43,9 @@ def expand(
 
     fz = jax.vmap(jacobian(step))(zs, ts)
     lz, lzz = _running_terms(problem, zs, ts)
-    vx = jax.grad(terminal)(xs[-1])
+    vx = gradient(terminal)(xs[-1])
     at = jnp.zeros_like(xs[-1]) if problem.cost.terminal_is_quadratic else xs[-1]
-    vxx = jacobian(jax.grad(terminal), symmetric=True)(at)
+    vxx = jacobian(gradient(terminal), symmetric=True)(at)
 
     def residual(z, t):
         return problem.residual(z[:nx], z[nx:], step(z, t))
@@ -89,7 +89,7 @@ def _curvature(problem: Problem, zs, ts, p, rho):
             value = jnp.sum(p * after)
             return value + jnp.sum(rho * problem.residual(x, u, after)) if rho.size else value
 
-        return jax.grad(weighted)(z)
+        return gradient(weighted)(z)
 
     return jax.vmap(jacobian(slope, symmetric=True))(zs, p, rho, ts)
 
@@ -101,13 +101,13 @@ def _running_terms(problem: Problem, zs, ts):
     def running(z, t):
         return problem.rate * problem.cost.running(problem.plant, z[:nx], z[nx:], t)
 
-    hessian = jacobian(jax.grad(running), symmetric=True)
+    hessian = jacobian(gradient(running), symmetric=True)
     if problem.cost.running_is_quadratic:
         once = hessian(jnp.zeros_like(zs[0]), ts[0])
         lzz = jnp.broadcast_to(once, (len(zs), *once.shape))
     else:
         lzz = jax.vmap(hessian)(zs, ts)
-    return jax.vmap(jax.grad(running))(zs, ts), lzz
+    return jax.vmap(gradient(running))(zs, ts), lzz
 
 
 def _event_terms(problem: Problem, group, xs, fz):
@@ -119,14 +119,14 @@ def _event_terms(problem: Problem, group, xs, fz):
     def value(x, i):
         return group.value(problem.plant, x, i)
 
-    gradient = jax.vmap(jax.grad(value))(states, index)
-    hessian = jax.vmap(jax.hessian(value))(states, index)
+    slope = jax.vmap(gradient(value))(states, index)
+    hessian = jax.vmap(jax.jacfwd(gradient(value)))(states, index)
     nx = problem.plant.nx
     here = jnp.eye(nx, fz.shape[-1], dtype=xs.dtype)
     jacobian = (1 - fraction)[:, None, None] * here + fraction[:, None, None] * fz[k]
-    z_gradient = jnp.einsum("mxz,mx->mz", jacobian, gradient)
+    z_gradient = jnp.einsum("mxz,mx->mz", jacobian, slope)
     z_hessian = jnp.einsum("mxz,mxy,myw->mzw", jacobian, hessian, jacobian)
-    return k, z_gradient, z_hessian, fraction[:, None] * gradient
+    return k, z_gradient, z_hessian, fraction[:, None] * slope
 
 
 def _blocks(fz, lz, lzz, vx, vxx) -> LocalModel:
@@ -167,8 +167,8 @@ def stage_lagrangian(
             cost = cost + 0.5 * jnp.sum(problem.residual(x, u, after) ** 2)
         return cost + jnp.sum(p * after)
 
-    values, lz = jax.vmap(jax.value_and_grad(stage))(zs, p, ts)
-    last, vx = jax.value_and_grad(lambda x: problem.cost.terminal(problem.plant, x))(xs[-1])
+    values, lz = jax.vmap(value_and_gradient(stage))(zs, p, ts)
+    last, vx = value_and_gradient(lambda x: problem.cost.terminal(problem.plant, x))(xs[-1])
     total = jnp.sum(values) + last
     for group in problem.cost.events:
         k, fraction = problem.event_steps(group.times)
@@ -177,7 +177,7 @@ def stage_lagrangian(
             x = z[:nx] + fraction * (problem.step(z[:nx], z[nx:], t) - z[:nx])
             return value(problem.plant, x, i)
 
-        values, slopes = jax.vmap(jax.value_and_grad(event))(
+        values, slopes = jax.vmap(value_and_gradient(event))(
             zs[k], ts[k], fraction, jnp.arange(k.size)
         )
         total, lz = total + jnp.sum(values), lz.at[k].add(slopes)

@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .. import _status
 from .._controller import clip
+from .._jacobian import NO_REVERSE, reversible
 from .._local_model import expand
 from .._problem import Problem
 from .._solver import Found, Record
@@ -335,6 +336,8 @@ class AbstractDescent(AbstractMinimiser):
 
     def init(self, problem, x0, us):
         """Return the state before anything was computed, from us (T, nu) and x0 (nx,)."""
+        if not reversible(lambda us: problem.total_cost(problem.rollout(x0, us), us), us):
+            raise ValueError(f"{type(self).__name__}: {NO_REVERSE}; ILQR and DDP do without")
         us = clip(us, problem.bounds)
         none = jnp.zeros_like(us)
         number, unknown = jnp.zeros((), us.dtype), jnp.full((), jnp.nan, us.dtype)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .._jacobian import dependence, jacobian
+from .._jacobian import dependence, gradient, jacobian
 from .._linalg import solve_positive
 from .._plant import nominal_control
 from .._problem import Problem
@@ -81,20 +81,21 @@ class Hamiltonian(eqx.Module):
             return self._moved_value(rows, u, x_, p_, t)
 
         nominal = nominal_control(self.problem.plant).astype(lower.dtype)
-        u = _minimise(value, nominal, lower, upper)
+        u, certain = _minimise(value, nominal, lower, upper)
         # One more step, of length zero but for its derivative.
         u = jax.lax.stop_gradient(u)
-        gradient = jax.grad(self._moved_value, argnums=1)(rows, u, x, p, t)
-        fixed = jax.lax.stop_gradient(gradient)
+        slope = gradient(lambda u, x, p, t: self._moved_value(rows, u, x, p, t))(u, x, p, t)
+        fixed = jax.lax.stop_gradient(slope)
         free = ~(((u <= lower) & (fixed > 0)) | ((u >= upper) & (fixed < 0)))
-        H = jnp.where(free[:, None] & free, jax.hessian(value)(u), jnp.eye(u.size, dtype=u.dtype))
-        solved, positive = solve_positive(H, jnp.where(free, gradient, 0.0)[:, None])
+        H = jax.jacfwd(gradient(value))(u)
+        H = jnp.where(free[:, None] & free, H, jnp.eye(u.size, dtype=u.dtype))
+        solved, positive = solve_positive(H, jnp.where(free, slope, 0.0)[:, None])
         step = solved[:, 0]
         plant, cost = self.problem.plant, self.problem.cost
         size = jnp.abs(cost.running(plant, x_, u, t)) + jnp.sum(jnp.abs(p_ * plant(x_, u, t)))
         decrement = 0.5 * jnp.sum(step * jnp.where(free, fixed, 0.0))
         small = decrement <= SMALL_DECREMENT * jnp.finfo(u.dtype).eps * size
-        return u - step, jax.lax.stop_gradient(positive & small)
+        return u - step, jax.lax.stop_gradient(positive & small & certain)
 
     def _moved_rows(self, x, t) -> list[int]:
         """Return which rates of the state depend on the controls."""
@@ -114,17 +115,21 @@ class Hamiltonian(eqx.Module):
         """Return dy/dt = (f, -dH/dx), shape (2 nx,), with u = u*, at y = (x, p) and t [s]."""
         x, p = jnp.split(y, 2)
         u, _ = self.minimiser(x, p, t)
-        slope = jax.grad(self.value)(x, u, p, t)
+        slope = gradient(self.value)(x, u, p, t)
         return jnp.concatenate([self.problem.plant(x, u, t), -slope])
 
     def final_slope(self, x: Float[Array, " nx"]) -> Float[Array, " nx"]:
         """Return dh/dx, shape (nx,), at the last state x (nx,)."""
-        return jax.grad(lambda x: self.problem.cost.terminal(self.problem.plant, x))(x)
+        return gradient(lambda x: self.problem.cost.terminal(self.problem.plant, x))(x)
 
 
 def _minimise(value, nominal, lower, upper):
-    """Minimise a function of the controls in a box."""
-    slope = jax.grad(value)
+    """Minimise a function of the controls in a box.
+
+    Returns: the minimiser (nu,), and False where a quadratic program on the way to it is known not
+    to have been solved; of a function that is not quadratic, only the end can tell.
+    """
+    slope = gradient(value)
     # Known from the operations alone, whatever the numbers.
     curvature = jacobian(slope, symmetric=True)
     quadratic = not dependence(curvature, nominal).any()
@@ -134,16 +139,20 @@ def _minimise(value, nominal, lower, upper):
     def model(u):
         g, H = slope(u), curvature(u)
         if separable:
-            h = jnp.abs(jnp.diagonal(H))
-            return jnp.clip(u - g / jnp.where(h > 0, h, 1.0), lower, upper) - u
+            h = jnp.diagonal(H)
+            size = jnp.where(h != 0, jnp.abs(h), 1.0)
+            return jnp.clip(u - g / size, lower, upper) - u, (h >= 0).all()
         _, positive = solve_positive(H, g[:, None])
         bound = jnp.diag(jnp.sum(jnp.abs(H), axis=1) + jnp.finfo(u.dtype).tiny)
-        return box_qp(jnp.where(positive, H, bound), g, lower - u, upper - u).x
+        program = box_qp(jnp.where(positive, H, bound), g, lower - u, upper - u)
+        return program.x, positive & program.finished
 
     if quadratic:
         u = jnp.clip(nominal, lower, upper)
-        return jnp.clip(u + model(u), lower, upper)
-    return _from_several(value, model, nominal, lower, upper)
+        step, certain = model(u)
+        return jnp.clip(u + step, lower, upper), certain
+    u = _from_several(value, lambda u: model(u)[0], nominal, lower, upper)
+    return u, jnp.array(True)
 
 
 def _from_several(value, model, nominal, lower, upper):

@@ -78,14 +78,7 @@ def box_qp(
     Raises: ValueError where lower > upper; when they are traced, it does not finish instead.
     """
     H, g, lower, upper = (jnp.asarray(a, jnp.result_type(H, g)) for a in (H, g, lower, upper))
-    if not any(isinstance(bound, jax.core.Tracer) for bound in (lower, upper)):
-        crossed = np.asarray(lower) > np.asarray(upper)
-        if crossed.any():
-            i = int(np.argmax(crossed))
-            raise ValueError(
-                f"lower <= upper is wanted, got {lower[i]} > {upper[i]} at index {i}; were they "
-                "exchanged?"
-            )
+    check_bounds(lower, upper)
     fixed = jax.lax.stop_gradient((H, g, lower, upper))
     end = _pivot(*fixed, max_steps)
     x = jnp.clip(end.x, lower, upper)
@@ -93,6 +86,19 @@ def box_qp(
     free = (lower < upper) & ~(((x <= lower) & (r > 0)) | ((x >= upper) & (r < 0)))
     x = _attach(jax.lax.stop_gradient(x), H, g, lower, upper, free, end.finished)
     return BoxQP(x, free, end.positive, end.finished, end.num_steps)
+
+
+def check_bounds(lower: Array, upper: Array) -> None:
+    """Raise ValueError where bounds that are known have changed places."""
+    if any(isinstance(bound, jax.core.Tracer) for bound in (lower, upper)):
+        return
+    lower, upper = np.asarray(lower), np.asarray(upper)
+    if (lower > upper).any():
+        i = int(np.argmax(lower > upper))
+        raise ValueError(
+            f"lower <= upper is wanted, got {lower[i]} > {upper[i]} at index {i}; were they "
+            "exchanged?"
+        )
 
 
 def _residual(H, g, x):

@@ -1,16 +1,19 @@
 """The kernels as users call them: compiled; what is inside a loop calls the plain ones."""
 
+import functools
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import ArrayLike, Float
 
 from .._types import LocalModel
 from . import _box_lqr, _boxqp, _factorised, _riccati
+from ._boxqp import BoxQP
 from ._engine import find_engine
 from ._riccati import Sweep
 
 box_lqr = eqx.filter_jit(_box_lqr.box_lqr)
-box_qp = eqx.filter_jit(_boxqp.box_qp)
+_box_qp = eqx.filter_jit(_boxqp.box_qp)
 costates = eqx.filter_jit(_riccati.costates)
 evaluate = eqx.filter_jit(_riccati.evaluate)
 factorise = eqx.filter_jit(_factorised.factorise)
@@ -46,3 +49,9 @@ def lqr(
 @eqx.filter_jit
 def _lqr(model: LocalModel, damping, engine: str) -> Sweep:
     return find_engine(engine).lqr(model, damping)
+
+
+@functools.wraps(_boxqp.box_qp)
+def box_qp(H, g, lower, upper, *, max_steps: int = 1000) -> BoxQP:
+    _boxqp.check_bounds(lower, upper)  # behind jit they are traced
+    return _box_qp(H, g, lower, upper, max_steps=max_steps)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from jaxctrl.linear import box_qp
+from jaxctrl.linear import _boxqp, box_qp
 
 SOLVE = jax.jit(jax.vmap(box_qp))
 KINDS = ["plain", "stiff", "scaled", "nearly singular", "correlated", "integer", "degenerate"]
@@ -153,7 +153,7 @@ def test_sets_that_cycle_are_left_one_variable_at_a_time(monkeypatch):
     wanted = by_all_sets(*(part[None] for part in given))
     np.testing.assert_allclose(value(H[None], given[1][None], np.asarray(qp.x)[None]), wanted)
     monkeypatch.setattr("jaxctrl.linear._boxqp.PATIENCE", 1000)
-    assert not box_qp(*given).finished
+    assert not _boxqp.box_qp(*given).finished
 
 
 def test_crossed_bounds_are_refused_and_traced_ones_do_not_finish():
@@ -171,7 +171,7 @@ def test_what_is_not_finite_does_not_finish(which, bad):
     given[which] = given[which] * np.array([1.0, bad]) if which else np.full((2, 2), bad)
     if which >= 2 and np.isinf(bad):
         return  # bounds may be infinite
-    assert not box_qp(*given).finished
+    assert not _boxqp.box_qp(*given).finished
 
 
 def test_too_few_steps_do_not_finish():

@@ -21,6 +21,11 @@ if TYPE_CHECKING:
         tasks as tasks,
     )
     from ._audit import Audit as Audit, audit as audit
+    from ._augmented import (
+        AbstractAugmented as AbstractAugmented,
+        AbstractAugmentedHand as AbstractAugmentedHand,
+        OfInner as OfInner,
+    )
     from ._batch import best as best, solve_batch as solve_batch
     from ._check_gradients import (
         GradientReport as GradientReport,
@@ -31,14 +36,7 @@ if TYPE_CHECKING:
         AffinePolicy as AffinePolicy,
         OpenLoop as OpenLoop,
     )
-    from ._cost import (
-        AbstractCost as AbstractCost,
-        AbstractStepCost as AbstractStepCost,
-        Events as Events,
-        FunctionCost as FunctionCost,
-        QuadraticCost as QuadraticCost,
-        SumCost as SumCost,
-    )
+    from ._cost import FunctionCost as FunctionCost, QuadraticCost as QuadraticCost
     from ._cpu import enable_fast_cpu as enable_fast_cpu
     from ._files import load as load, save as save
     from ._function_plant import FunctionPlant as FunctionPlant
@@ -65,6 +63,21 @@ if TYPE_CHECKING:
     from ._solution import Solution as Solution, SolveError as SolveError
     from ._solve import solve as solve
     from ._status import Reason as Reason, Status as Status
+    from ._terms import (
+        AbstractCompound as AbstractCompound,
+        AbstractCost as AbstractCost,
+        AbstractEnd as AbstractEnd,
+        AbstractEvents as AbstractEvents,
+        AbstractRate as AbstractRate,
+        AbstractResidual as AbstractResidual,
+        At as At,
+        Events as Events,
+        SumCost as SumCost,
+        Term as Term,
+        Terms as Terms,
+        parts as parts,
+        terms as terms,
+    )
     from ._types import LocalModel as LocalModel
     from .models._compare import compare as compare
     from .models._times import optimise_times as optimise_times
@@ -83,14 +96,8 @@ if TYPE_CHECKING:
 # Imported at first use, so that the command line answers at once, without JAX.
 _WHERE = {
     "_controller": ("AbstractController", "AffinePolicy", "OpenLoop"),
-    "_cost": (
-        "AbstractCost",
-        "AbstractStepCost",
-        "Events",
-        "FunctionCost",
-        "QuadraticCost",
-        "SumCost",
-    ),
+    "_augmented": ("AbstractAugmented", "AbstractAugmentedHand", "OfInner"),
+    "_cost": ("FunctionCost", "QuadraticCost"),
     "_cpu": ("enable_fast_cpu",),
     "_function_plant": ("FunctionPlant",),
     "_integrate": ("AbstractIntegrator", "Euler", "NextState", "RK4"),
@@ -101,6 +108,21 @@ _WHERE = {
     "_pulses": ("Pulses",),
     "_simulate": ("Trajectory", "simulate"),
     "_status": ("Reason", "Status"),
+    "_terms": (
+        "AbstractCompound",
+        "AbstractCost",
+        "AbstractEnd",
+        "AbstractEvents",
+        "AbstractRate",
+        "AbstractResidual",
+        "At",
+        "Events",
+        "SumCost",
+        "Term",
+        "Terms",
+        "parts",
+        "terms",
+    ),
     "_types": ("LocalModel",),
     "models._compare": ("compare",),
     "models._times": ("optimise_times",),

@@ -17,18 +17,19 @@ import jax.numpy as jnp
 import numpy as np
 import xarray
 
+from .._augmented import OfInner
 from .._batch import solve_batch
-from .._cost import parts
 from .._integrate import RK4, AbstractIntegrator
 from .._plant import AbstractHand
 from .._problem import Problem
+from .._terms import parts
 from ..analysis import power_law_null
 from ..models import PolynomialJerkCost
 from ..plants import FreeHand, MuscleArm, PolynomialJerk, TorqueArm
 from ..solvers import ILQR
 from ..tasks import Effort, track
 from . import _closed_paths as shapes
-from ._free_timing import ClosedPath, OfBody, OnPath, PathCost, StepOnPath
+from ._free_timing import ClosedPath, OnPath, PathCost, StepOnPath
 from ._result import Result
 from ._two_thirds_claims import claims as claims
 from ._two_thirds_figure import MODELS, figure as figure, law_of
@@ -79,14 +80,14 @@ class Config:
         )
 
 
-def _body(model: str, config: Config) -> tuple[AbstractHand, OfBody, AbstractIntegrator]:
+def _body(model: str, config: Config) -> tuple[AbstractHand, OfInner, AbstractIntegrator]:
     """Return the plant of a model, what it costs to move it, and how it is integrated."""
     if model == "jerk":
         cost = PolynomialJerkCost(config.jerk, 0.0)  # pyright: ignore[reportCallIssue]
-        return FreeHand(), OfBody(cost), PolynomialJerk()  # pyright: ignore[reportCallIssue]
+        return FreeHand(), OfInner(cost), PolynomialJerk()  # pyright: ignore[reportCallIssue]
     arm = TorqueArm() if model == "torque" else MuscleArm()
     cost = Effort(config.effort)  # pyright: ignore[reportCallIssue]
-    return arm, OfBody(cost), RK4()  # pyright: ignore[reportCallIssue]
+    return arm, OfInner(cost), RK4()  # pyright: ignore[reportCallIssue]
 
 
 def _start(body: AbstractHand, hand):

@@ -13,6 +13,11 @@ from . import (
     tasks as tasks,
 )
 from ._audit import Audit as Audit, audit as audit
+from ._augmented import (
+    AbstractAugmented as AbstractAugmented,
+    AbstractAugmentedHand as AbstractAugmentedHand,
+    OfInner as OfInner,
+)
 from ._batch import best as best, solve_batch as solve_batch
 from ._check_gradients import (
     GradientReport as GradientReport,
@@ -24,14 +29,7 @@ from ._controller import (
     AffinePolicy as AffinePolicy,
     OpenLoop as OpenLoop,
 )
-from ._cost import (
-    AbstractCost as AbstractCost,
-    AbstractStepCost as AbstractStepCost,
-    Events as Events,
-    FunctionCost as FunctionCost,
-    QuadraticCost as QuadraticCost,
-    SumCost as SumCost,
-)
+from ._cost import FunctionCost as FunctionCost, QuadraticCost as QuadraticCost
 from ._cpu import enable_fast_cpu as enable_fast_cpu
 from ._expand import expand as expand
 from ._files import load as load, save as save
@@ -58,6 +56,21 @@ from ._simulate import Trajectory as Trajectory, simulate as simulate
 from ._solution import Solution as Solution, SolveError as SolveError
 from ._solve import solve as solve
 from ._status import Reason as Reason, Status as Status
+from ._terms import (
+    AbstractCompound as AbstractCompound,
+    AbstractCost as AbstractCost,
+    AbstractEnd as AbstractEnd,
+    AbstractEvents as AbstractEvents,
+    AbstractRate as AbstractRate,
+    AbstractResidual as AbstractResidual,
+    At as At,
+    Events as Events,
+    SumCost as SumCost,
+    Term as Term,
+    Terms as Terms,
+    parts as parts,
+    terms as terms,
+)
 from ._types import LocalModel as LocalModel, array_leaf as array_leaf
 from ._version import __version__ as __version__
 from .models._compare import compare as compare

@@ -1,6 +1,7 @@
 """One time step of a plant: explicit Euler, Runge-Kutta, or the plant's own next state."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
@@ -44,8 +45,12 @@ class RK4(AbstractIntegrator):
 
 
 class NextState(AbstractIntegrator):
-    """The rule of a discrete plant: the plant returns the next state itself."""
+    """The rule of a discrete plant: the plant returns the next state itself.
 
-    def __call__(self, plant, x, u, t, dt):
-        """Return plant(x, u, t), shape (nx,)."""
-        return plant(x, u, t)
+    One whose next state depends on the length of the step is called with it: `plant(x, u, t, dt)`,
+    if it says `takes_dt = True`, as `jc.plants.Car` does.
+    """
+
+    def __call__(self, plant: Any, x, u, t, dt):
+        """Return plant(x, u, t) or plant(x, u, t, dt), shape (nx,)."""
+        return plant(x, u, t, dt) if getattr(plant, "takes_dt", False) else plant(x, u, t)

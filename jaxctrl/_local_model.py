@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ._cost import step_costs
 from ._jacobian import gradient, jacobian, value_and_gradient
 from ._problem import Problem
 from ._types import LocalModel
@@ -24,7 +23,7 @@ def expand(
         problem: what to expand.
         xs, us: a trajectory of the problem.
         second_order: add the dynamics' second derivatives, contracted with the costates, and those
-            of the residuals of `AbstractStepCost`: l_zz += p' f_zz + rho' rho_zz, z = (x, u). The
+            of `AbstractResidual`s: l_zz += p' f_zz + rho' rho_zz, z = (x, u). The
             model is then that of Newton's method in the controls; without, of Gauss and Newton's.
             May be traced.
 
@@ -33,31 +32,28 @@ def expand(
     """
     nx = problem.plant.nx
     zs = jnp.concatenate([xs[:-1], us], axis=1)
-    ts = problem.ts[:-1]
+    ts, terms = problem.ts[:-1], problem.terms
 
     def step(z, t):
         return problem.step(z[:nx], z[nx:], t)
 
-    def terminal(x):
-        return problem.cost.terminal(problem.plant, x)
-
     fz = jax.vmap(jacobian(step))(zs, ts)
     lz, lzz = _running_terms(problem, zs, ts)
-    vx = gradient(terminal)(xs[-1])
-    at = jnp.zeros_like(xs[-1]) if problem.cost.terminal_is_quadratic else xs[-1]
-    vxx = jacobian(gradient(terminal), symmetric=True)(at)
+    vx = gradient(problem.end)(xs[-1])
+    vxx = jacobian(gradient(problem.end), symmetric=True)(xs[-1])
 
-    def residual(z, t):
-        return problem.residual(z[:nx], z[nx:], step(z, t))
+    def residual(z, t, i):
+        return problem.residual(z[:nx], z[nx:], step(z, t), i)
 
     rho = jnp.zeros((len(zs), 0), xs.dtype)
-    if step_costs(problem.cost):
-        rho, slopes = jax.vmap(residual)(zs, ts), jax.vmap(jacobian(residual))(zs, ts)
+    if terms.residuals:
+        each = (zs, ts, jnp.arange(len(zs)))
+        rho, slopes = jax.vmap(residual)(*each), jax.vmap(jacobian(residual))(*each)
         lz = lz + jnp.einsum("tmz,tm->tz", slopes, rho)
         lzz = lzz + jnp.einsum("tmz,tmw->tzw", slopes, slopes)
 
     weights = []
-    for group in problem.cost.events:
+    for group in terms.events:
         k, z_gradient, z_hessian, weight = _event_terms(problem, group, xs, fz)
         lz = lz.at[k].add(z_gradient)
         lzz = lzz.at[k].add(z_hessian)
@@ -82,32 +78,29 @@ def _curvature(problem: Problem, zs, ts, p, rho):
     """Return p' f_zz + rho' rho_zz, shape (T, nz, nz)."""
     nx = problem.plant.nx
 
-    def slope(z, p, rho, t):
+    def slope(z, p, rho, t, i):
         def weighted(z):
             x, u = z[:nx], z[nx:]
             after = problem.step(x, u, t)
             value = jnp.sum(p * after)
-            return value + jnp.sum(rho * problem.residual(x, u, after)) if rho.size else value
+            return value + jnp.sum(rho * problem.residual(x, u, after, i)) if rho.size else value
 
         return gradient(weighted)(z)
 
-    return jax.vmap(jacobian(slope, symmetric=True))(zs, p, rho, ts)
+    steps = jnp.arange(len(zs))
+    return jax.vmap(jacobian(slope, symmetric=True))(zs, p, rho, ts, steps)
 
 
 def _running_terms(problem: Problem, zs, ts):
     """Return the gradients (T, nz) and Hessians (T, nz, nz) of the running cost in z = (x, u)."""
-    nx = problem.plant.nx
+    nx, steps = problem.plant.nx, jnp.arange(len(zs))
 
-    def running(z, t):
-        return problem.rate * problem.cost.running(problem.plant, z[:nx], z[nx:], t)
+    def running(z, t, i):
+        return problem.rate * problem.running(z[:nx], z[nx:], t, i)
 
+    # What does not depend on z, t and i, as the Hessian of a quadratic rate, `vmap` computes once.
     hessian = jacobian(gradient(running), symmetric=True)
-    if problem.cost.running_is_quadratic:
-        once = hessian(jnp.zeros_like(zs[0]), ts[0])
-        lzz = jnp.broadcast_to(once, (len(zs), *once.shape))
-    else:
-        lzz = jax.vmap(hessian)(zs, ts)
-    return jax.vmap(gradient(running))(zs, ts), lzz
+    return jax.vmap(gradient(running))(zs, ts, steps), jax.vmap(hessian)(zs, ts, steps)
 
 
 def _event_terms(problem: Problem, group, xs, fz):
@@ -159,18 +152,20 @@ def stage_lagrangian(
     nx = problem.plant.nx
     zs, ts = jnp.concatenate([xs[:-1], us], axis=1), problem.ts[:-1]
 
-    def stage(z, p, t):
+    terms = problem.terms
+
+    def stage(z, p, t, i):
         x, u = z[:nx], z[nx:]
-        cost = problem.rate * problem.cost.running(problem.plant, x, u, t)
+        cost = problem.rate * problem.running(x, u, t, i)
         after = problem.step(x, u, t)
-        if step_costs(problem.cost):
-            cost = cost + 0.5 * jnp.sum(problem.residual(x, u, after) ** 2)
+        if terms.residuals:
+            cost = cost + 0.5 * jnp.sum(problem.residual(x, u, after, i) ** 2)
         return cost + jnp.sum(p * after)
 
-    values, lz = jax.vmap(value_and_gradient(stage))(zs, p, ts)
-    last, vx = value_and_gradient(lambda x: problem.cost.terminal(problem.plant, x))(xs[-1])
+    values, lz = jax.vmap(value_and_gradient(stage))(zs, p, ts, jnp.arange(len(zs)))
+    last, vx = value_and_gradient(problem.end)(xs[-1])
     total = jnp.sum(values) + last
-    for group in problem.cost.events:
+    for group in terms.events:
         k, fraction = problem.event_steps(group.times)
 
         def event(z, t, fraction, i, value=group.value):

@@ -4,14 +4,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, Int
 
 from ._checks import check_array, check_instance, check_integer, is_concrete, shape_of
-from ._cost import AbstractCost, Events, step_costs
 from ._function import closed
 from ._integrate import AbstractIntegrator, Euler, NextState
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant, check_plant, nominal_control
+from ._terms import AbstractCost, At, Events, Terms, check, terms
 from ._types import Bounds, array_leaf, as_bounds, clip
 
 
@@ -96,7 +96,8 @@ class Problem(eqx.Module):
                     f"control_bounds: lower <= upper is wanted, got {lower[step, i]} > "
                     f"{upper[step, i]} for control {i}"
                 )
-        for times, _ in self.cost.events:
+        for group in terms(self.cost).events:
+            times = group.times
             if is_concrete(times, self.dt):
                 times, duration = np.asarray(times), self.num_steps * np.asarray(self.dt)
                 outside = (times < 0) | (times > duration * (1 + 1e-6))
@@ -180,26 +181,63 @@ class Problem(eqx.Module):
 
         An event's cost counts in the step within which it lies.
         """
-        running = jax.vmap(self.cost.running, in_axes=(None, 0, 0, 0))
-        costs = self.rate * running(self.plant, xs[:-1], us, self.ts[:-1])
-        if step_costs(self.cost):
-            rho = jax.vmap(self.residual)(xs[:-1], us, xs[1:])
+        steps, terms = jnp.arange(self.num_steps), self.terms
+        costs = self.rate * jax.vmap(self.running)(xs[:-1], us, self.ts[:-1], steps)
+        if terms.residuals:
+            rho = jax.vmap(self.residual)(xs[:-1], us, xs[1:], steps)
             costs = costs + 0.5 * jnp.sum(rho**2, axis=1)
-        for group in self.cost.events:
+        for group in terms.events:
             k, value, _ = self.event_values(group, xs)
             costs = costs.at[k].add(value)
-        return jnp.append(costs, self.cost.terminal(self.plant, xs[-1]))
+        return jnp.append(costs, self.end(xs[-1]))
 
     def total_cost(self, xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"]) -> Float[Array, ""]:
         """Return the cost of a trajectory xs (T+1, nx), us (T, nu), shape ()."""
         return jnp.sum(self.stage_costs(xs, us))
 
+    @property
+    def terms(self) -> Terms:
+        """What the cost is the sum of; raises ValueError for numbers that do not fit the plant."""
+        check(self.cost, self.plant)
+        return terms(self.cost)
+
+    def running(
+        self,
+        x: Float[Array, " nx"],
+        u: Float[Array, " nu"],
+        t: ArrayLike,
+        i: Int[ArrayLike, ""] | None = None,
+    ) -> Float[Array, ""]:
+        """Return the cost's rate at a state x (nx,) and control u (nu,), shape ().
+
+        At the time t [s], in step i; without i, in the step within which t lies.
+        """
+        s = t / self.duration if i is None else jnp.asarray(i, self.dt.dtype) / self.num_steps
+        i = self.event_steps(jnp.asarray(t))[0] if i is None else jnp.asarray(i)
+        at = At(x, u, None, jnp.asarray(t), i, self.dt, jnp.asarray(s))
+        rates = (term.value(self.plant, at) for term in self.terms.rates)
+        return sum(rates, jnp.zeros((), x.dtype))
+
+    def end(self, x: Float[Array, " nx"]) -> Float[Array, ""]:
+        """Return the cost of the last state x (nx,), shape ()."""
+        ends = (term.value(self.plant, x) for term in self.terms.ends)
+        return sum(ends, jnp.zeros((), x.dtype))
+
     def residual(
-        self, x: Float[Array, " nx"], u: Float[Array, " nu"], after: Float[Array, " nx"]
+        self,
+        x: Float[Array, " nx"],
+        u: Float[Array, " nu"],
+        after: Float[Array, " nx"],
+        i: Int[ArrayLike, ""],
     ) -> Float[Array, " m"]:
-        """Return the residuals (m,) of the costs of one step, whose cost is half their square."""
-        root = jnp.sqrt(jnp.asarray(self.rate, x.dtype))
-        parts = (part.residual(self.plant, x, u, after, self.dt) for part in step_costs(self.cost))
+        """Return the residuals (m,) of the costs of step i, whose cost is half their square.
+
+        The step leads from x (nx,) under u (nu,) to `after` (nx,).
+        """
+        root, i = jnp.sqrt(jnp.asarray(self.rate, x.dtype)), jnp.asarray(i)
+        k = i.astype(self.dt.dtype)
+        at = At(x, u, after, k * self.dt, i, self.dt, k / self.num_steps)
+        parts = (term.value(self.plant, at) for term in self.terms.residuals)
         return root * jnp.concatenate([jnp.zeros((0,), x.dtype), *parts])
 
     def event_steps(self, times: Float[Array, " m"]) -> tuple[Array, Array]:

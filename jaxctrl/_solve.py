@@ -14,7 +14,6 @@ from . import _status
 from ._adjoint import attach, attach_gains, known_sides
 from ._checks import check_again, check_instance, check_integer, is_concrete
 from ._controller import AffinePolicy
-from ._cost import parts, step_costs
 from ._function import closed, describe
 from ._jit import jit
 from ._problem import Problem, check_us, check_x0
@@ -22,6 +21,7 @@ from ._simulate import simulate
 from ._solution import Solution, SolveError, last_finite
 from ._solver import AbstractDirectSolver, AbstractSolver, Record
 from ._status import Reason, Status
+from ._terms import At, check, parts
 from ._types import promote
 
 LARGEST_HISTORY = 1.0
@@ -72,9 +72,10 @@ def solve(
     controls = roll(problem, us, start) if isinstance(us, AffinePolicy) else check_us(problem, us)
     problem, start, controls = promote((closed(problem), start, controls))
     _check_finite(problem)
+    check(problem.cost, problem.plant)
     for part in parts(problem.cost):
-        if (check := getattr(part, "check_start", None)) is not None:
-            check(problem.plant, start)
+        if (check_start := getattr(part, "check_start", None)) is not None:
+            check_start(problem.plant, start)
     _warn(problem, solver, start.dtype)
     solution = run(problem, solver, start, controls, max_steps)
     return _throw(solution) if throw else solution
@@ -155,23 +156,21 @@ def _check_functions(problem: Problem, x0: Array, us: Array) -> None:
 
 def _calls(problem: Problem, x: Array, u: Array) -> tuple[tuple[str, Callable, Any], ...]:
     """Return what a solve calls: names, functions without arguments, the shapes they return."""
-    plant, cost, t = problem.plant, problem.cost, problem.ts[0]
-    scalar = ((), "()")
+    plant, t, terms = problem.plant, problem.ts[0], problem.terms
+    scalar, i = ((), "()"), jnp.array(0)
+    at = At(x, u, None, t, i, problem.dt, t)
+    dynamics = problem.step if plant.discrete else plant
     return (
-        ("plant", lambda: plant(x, u, t), (x.shape, f"({plant.nx},)")),
-        ("cost.running", lambda: cost.running(plant, x, u, t), scalar),
-        ("cost.terminal", lambda: cost.terminal(plant, x), scalar),
+        ("plant", lambda: dynamics(x, u, t), (x.shape, f"({plant.nx},)")),
+        *((name, lambda rate=rate: rate(plant, at), scalar) for rate, name in terms.rates),
         *(
-            ("cost's event", lambda group=group: group.value(plant, x, 0), scalar)
-            for group in cost.events
+            (name, lambda rho=rho: rho(plant, at._replace(after=x)), (None, "(m,)"))
+            for rho, name in terms.residuals
         ),
+        *((name, lambda end=end: end(plant, x), scalar) for end, name in terms.ends),
         *(
-            (
-                f"{type(part).__name__}.residual",
-                lambda part=part: part.residual(plant, x, u, x, problem.dt),
-                (None, "(m,)"),
-            )
-            for part in step_costs(cost)
+            (name, lambda event=event: event(plant, x, i), scalar)
+            for _, event, name in terms.events
         ),
     )
 
@@ -222,7 +221,8 @@ def _advice(error: Exception) -> str:
         )
     return (
         "it is called as dynamics(x, u, t), running(x, u, t), terminal(x) or event(x, i), with "
-        "`params` as a last argument when these are given"
+        "`params` as a last argument when these are given; the methods of a cost as rate(plant, "
+        "at), residual(plant, at), end(plant, x), event(plant, x, j)"
     )
 
 

@@ -20,13 +20,13 @@ def test_converged_implies_finite_arrays_the_reported_cost_and_a_small_gradient(
     # The roll-out and the cost once more, step by step and outside the solver.
     x, total, dt = x0, 0.0, problem.rate
     step = jax.jit(lambda x, u, t: problem.step(x, u, t))
-    running = jax.jit(lambda plant, x, u, t: problem.cost.running(plant, x, u, t))
+    running = jax.jit(lambda problem, x, u, t: problem.running(x, u, t))
     for k, u in enumerate(solution.us):
         np.testing.assert_allclose(solution.xs[k], x, rtol=1e-9, atol=1e-11)
-        total += dt * running(problem.plant, x, u, problem.ts[k])
+        total += dt * running(problem, x, u, problem.ts[k])
         x = step(x, u, problem.ts[k])
-    total += problem.cost.terminal(problem.plant, x)
-    for times, value in problem.cost.events:
+    total += problem.end(x)
+    for times, value, _ in problem.terms.events:
         for i, time in enumerate(times):
             at = [np.interp(time, problem.ts, column) for column in np.asarray(solution.xs).T]
             total += value(problem.plant, jnp.array(at), i)

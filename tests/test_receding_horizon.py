@@ -127,7 +127,7 @@ def predictive(warm, seed):
     x, total = UP, 0.0
     plan = jc.solve(problem, jc.ILQR(), x)
     for push in 0.1 * np.random.default_rng(seed).normal(size=(30, 2)):
-        total += float(problem.dt * cost.running(problem.plant, x, plan.us[0], 0.0))
+        total += float(problem.dt * problem.running(x, plan.us[0], 0.0))
         x = problem.step(x, plan.us[0], 0.0) + np.array([0.0, 0.0, *push])
         policy = plan.policy.shifted(1)
         us = policy if warm else policy.us

@@ -13,28 +13,22 @@ import jaxctrl as jc
 from jaxctrl.linear import costates, lqr, lqr_rollout
 
 
-class Change(jc.AbstractStepCost):
-    """The change of a curved function of the state, which the control enters too."""
+class Change(jc.AbstractRate, jc.AbstractResidual, jc.AbstractEnd):
+    """The change of a curved function of the state, which the control and the time enter too."""
 
     weight: jax.Array
-    running_is_quadratic: bool = False
-    terminal_is_quadratic: bool = False
 
-    def residual(self, plant, x, u, after, dt):
+    def residual(self, plant, at):
         def curved(x):
-            return jnp.stack([jnp.sin(2 * x[0]) + x[1], x[0] * x[1], x[1] ** 2 * u[0]])
+            return jnp.stack([jnp.sin(2 * x[0]) + x[1], x[0] * x[1], x[1] ** 2 * at.u[0]])
 
-        return self.weight * (curved(after) - curved(x)) / dt
+        return self.weight * (1 + at.s) * (curved(at.after) - curved(at.x)) / at.dt
 
-    def running(self, plant, x, u, t):
-        return 0.8 * jnp.sum(u**2) + 0.1 * x[0] ** 4 * (1 + t)
+    def rate(self, plant, at):
+        return 0.8 * jnp.sum(at.u**2) + 0.1 * at.x[0] ** 4 * (1 + at.t)
 
-    def terminal(self, plant, x):
+    def end(self, plant, x):
         return jnp.sum((x - 1) ** 2) + 0.1 * x[0] ** 4
-
-    @property
-    def events(self):
-        return ()
 
 
 def dynamics(x, u, t, p):
@@ -66,19 +60,20 @@ def by_hand(problem, x0, us):
     xs = [x]
     for k, u in enumerate(us):
         after = problem.step(x, u, k * problem.dt)
-        for part in jc._cost.step_costs(problem.cost):
-            rho = part.residual(problem.plant, x, u, after, problem.dt)
+        at = jc.At(x, u, after, k * problem.dt, k, problem.dt, k / len(us))
+        for part in jc.parts(problem.cost)[::2]:
+            rho = part.residual(problem.plant, at)
             total += dt * 0.5 * sum(rho[i] ** 2 for i in range(3))
-        total += dt * problem.cost.running(problem.plant, x, u, k * problem.dt)
+            total += dt * part.rate(problem.plant, at)
         x = after
         xs.append(x)
     xs = jnp.stack(xs)
-    for group in problem.cost.events:
-        for i, time in enumerate(np.array([0.1, 0.23, 0.6])):
-            k = min(int(np.floor(time / 0.1 + 1e-9)), len(us) - 1)
-            f = time / problem.dt - k
-            total += group.value(problem.plant, (1 - f) * xs[k] + f * xs[k + 1], i)
-    return total + problem.cost.terminal(problem.plant, x)
+    for i, time in enumerate(np.array([0.1, 0.23, 0.6])):
+        k = min(int(np.floor(time / 0.1 + 1e-9)), len(us) - 1)
+        f = time / problem.dt - k
+        y = (1 - f) * xs[k] + f * xs[k + 1]
+        total += (1 + i) * (jnp.sin(y[0]) - 0.2) ** 2
+    return total + 2 * (jnp.sum((x - 1) ** 2) + 0.1 * x[0] ** 4)
 
 
 @functools.lru_cache
@@ -129,22 +124,16 @@ def test_the_first_order_expansion_has_the_gradient_and_the_step_of_gauss_and_ne
     assert np.abs(step + np.linalg.solve(H, g)).max() > 1e-3
 
     # Of dynamics that are linear and rates that are quadratic J'J is all there is besides.
-    class Curved(jc.AbstractStepCost):
-        running_is_quadratic: bool = True
-        terminal_is_quadratic: bool = True
+    class Curved(jc.AbstractRate, jc.AbstractResidual, jc.AbstractEnd):
+        def residual(self, plant, at):
+            turned = jnp.sin(at.after) - jnp.sin(at.x)
+            return (turned + 0.1 * jnp.concatenate([at.u, at.u]) ** 2) / at.dt
 
-        def residual(self, plant, x, u, after, dt):
-            return (jnp.sin(after) - jnp.sin(x) + 0.1 * jnp.concatenate([u, u]) ** 2) / dt
+        def rate(self, plant, at):
+            return 0.5 * jnp.sum(at.u**2)
 
-        def running(self, plant, x, u, t):
-            return 0.5 * jnp.sum(u**2)
-
-        def terminal(self, plant, x):
+        def end(self, plant, x):
             return 0.5 * jnp.sum((x - 1) ** 2)
-
-        @property
-        def events(self):
-            return ()
 
     plant = jc.FunctionPlant(lambda x, u, t: jnp.array([x[1], u[0]]), nx=2, nu=1)
     prob, us = jc.Problem(plant, Curved(), num_steps=6, dt=0.1), US[:, :1]
@@ -191,7 +180,10 @@ def test_a_step_counts_its_own_residual():
     xs = prob.rollout(X0, US)
     got = prob.stage_costs(xs, US) - without.stage_costs(xs, US)
     part = Change(jnp.asarray(0.3))
-    rho = [part.residual(None, xs[k], US[k], xs[k + 1], 0.1) for k in range(6)]
+    rho = [
+        part.residual(None, jc.At(xs[k], US[k], xs[k + 1], 0.1 * k, k, 0.1, k / 6))
+        for k in range(6)
+    ]
     wanted = [0.05 * float(jnp.sum(r**2)) for r in rho]
     np.testing.assert_allclose(got, [*wanted, 0.0], rtol=1e-10, atol=1e-12)
 
@@ -199,20 +191,20 @@ def test_a_step_counts_its_own_residual():
 def test_parts_of_nested_sums_are_found_in_order():
     a, b, c = (Change(jnp.asarray(float(i))) for i in range(3))
     plain = jc.QuadraticCost(R=1.0)
-    found = jc._cost.step_costs((a + plain) + (b + (plain + c)))
-    assert [float(part.weight) for part in found] == [0.0, 1.0, 2.0]
-    assert jc._cost.parts(plain) == (plain,)
+    whole = (a + plain) + (b + (plain + c))
+    found = jc.parts(whole)
+    assert [found[i] is part for i, part in enumerate((a, plain, b, plain, c))] == 5 * [True]
+    assert len(jc.terms(whole).residuals) == 3 and len(jc.terms(whole).rates) == 5
+    assert jc.parts(plain) == (plain,)
 
 
-class Wrong(jc.AbstractStepCost):
+class Wrong(jc.AbstractResidual):
     """A residual of any kind."""
 
     kind: str
-    running_is_quadratic: bool = True
-    terminal_is_quadratic: bool = True
 
-    def residual(self, plant, x, u, after, dt):
-        change = (after - x) / dt
+    def residual(self, plant, at):
+        change = (at.after - at.x) / at.dt
         return {
             "scalar": lambda: jnp.sum(change),
             "column": lambda: change[:, None],
@@ -220,16 +212,6 @@ class Wrong(jc.AbstractStepCost):
             "float32": lambda: change.astype(jnp.float32),
             "crash": lambda: change @ jnp.ones(7),
         }[self.kind]()
-
-    def running(self, plant, x, u, t):
-        return jnp.sum(u**2)
-
-    def terminal(self, plant, x):
-        return jnp.zeros((), x.dtype)
-
-    @property
-    def events(self):
-        return ()
 
 
 @pytest.mark.parametrize(

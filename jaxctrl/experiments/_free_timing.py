@@ -37,7 +37,7 @@ class ClosedPath(eqx.Module):
         return jnp.sum(self.coefficients * waves[..., None], axis=(0, 1))
 
 
-class OnPath(jc.AbstractHand):
+class OnPath(jc.AbstractAugmentedHand):
     """Let a plant with a hand trace a closed path, d(x, s)/dt = (f(x, u, t), r).
 
     State (x, s), shape (nx + 1,), with the phase s of the path in rad; control (u, r), shape
@@ -53,7 +53,7 @@ class OnPath(jc.AbstractHand):
     nx: int = eqx.field(static=True)
     nu: int = eqx.field(static=True)
     discrete: bool = eqx.field(static=True)
-    body: jc.AbstractHand
+    inner: jc.AbstractHand
     path: ClosedPath
     turns: Float[Array, ""]
     control_bounds: tuple[Array, Array]
@@ -69,7 +69,7 @@ class OnPath(jc.AbstractHand):
         fastest: ArrayLike,
     ):
         self.nx, self.nu, self.discrete = body.nx + 1, body.nu + 1, False
-        self.body, self.path, self.turns = body, path, jc.array_leaf(turns)
+        self.inner, self.path, self.turns = body, path, jc.array_leaf(turns)
         free = jnp.full(body.nu, jnp.inf)
         lower, upper = (-free, free) if body.control_bounds is None else body.control_bounds
         self.control_bounds = jnp.append(lower, 0.0), jnp.append(upper, fastest)
@@ -77,20 +77,15 @@ class OnPath(jc.AbstractHand):
 
     def __call__(self, x, u, t):
         """Return (f(x, u, t), r), shape (nx + 1,)."""
-        return jnp.append(self.body(x[:-1], u[:-1], t), u[-1])
+        return jnp.append(self.inner(x[:-1], u[:-1], t), u[-1])
 
-    @property
-    def longest_reach(self) -> Float[Array, ""]:
-        """That of the body [m], shape ()."""
-        return self.body.longest_reach
+    def split(self, x, u):
+        """Return the body's state (nx,) and control (nu,)."""
+        return x[:-1], u[:-1]
 
-    def hand(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
-        """Return the position of the body's hand [m], shape (2,), at a state x (nx,)."""
-        return self.body.hand(x[:-1])
-
-    def hand_velocity(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
-        """Return the velocity of the body's hand [m/s], shape (2,), at a state x (nx,)."""
-        return self.body.hand_velocity(x[:-1])
+    def lift(self, x):
+        """Return the state (nx + 1,) at the beginning of the path, for a body's state x (nx,)."""
+        return jnp.append(x, 0.0)
 
 
 class StepOnPath(jc.AbstractIntegrator):
@@ -104,43 +99,10 @@ class StepOnPath(jc.AbstractIntegrator):
 
     def __call__(self, plant: Any, x, u, t, dt):
         """Return (x', s + r dt), shape (nx + 1,)."""
-        return jnp.append(self.rule(plant.body, x[:-1], u[:-1], t, dt), x[-1] + dt * u[-1])
+        return jnp.append(self.rule(plant.inner, x[:-1], u[:-1], t, dt), x[-1] + dt * u[-1])
 
 
-class OfBody(jc.AbstractCost):
-    """A cost of the body of an `OnPath`, without events.
-
-    Arguments:
-        cost: of the body's own state and control.
-    """
-
-    cost: jc.AbstractCost
-
-    @property
-    def running_is_quadratic(self) -> bool:
-        """Whether the body's rate is."""
-        return self.cost.running_is_quadratic
-
-    @property
-    def terminal_is_quadratic(self) -> bool:
-        """Whether the body's terminal value is."""
-        return self.cost.terminal_is_quadratic
-
-    def running(self, plant: Any, x, u, t):
-        """Return the body's cost per second, shape ()."""
-        return self.cost.running(plant.body, x[:-1], u[:-1], t)
-
-    def terminal(self, plant: Any, x):
-        """Return the body's cost of the last state, shape ()."""
-        return self.cost.terminal(plant.body, x[:-1])
-
-    @property
-    def events(self):
-        """None."""
-        return ()
-
-
-class PathCost(jc.AbstractCost):
+class PathCost(jc.AbstractRate, jc.AbstractEnd):
     """Cost of leaving an `OnPath`'s path, w |e - p(s)|^2 per second, and of not completing it.
 
     At the end w_T |e - p(s)|^2 + w_s (s - 2 pi turns)^2. The pace along the path costs
@@ -155,23 +117,17 @@ class PathCost(jc.AbstractCost):
     terminal_weight: Float[Array, ""] = eqx.field(converter=jc.array_leaf, default=100.0)
     phase_weight: Float[Array, ""] = eqx.field(converter=jc.array_leaf, default=1.0)
     pace_weight: Float[Array, ""] = eqx.field(converter=jc.array_leaf, default=1e-9)
-    running_is_quadratic: bool = eqx.field(static=True, default=False, init=False)
-    terminal_is_quadratic: bool = eqx.field(static=True, default=False, init=False)
 
-    def running(self, plant: Any, x, u, t):
+    def rate(self, plant: Any, at):
         """Return the rate, shape ()."""
+        x, u = at.x, at.u
         pace = jnp.sum(plant.path.slope(x[-1]) ** 2) * u[-1] ** 2
         return self.weight * _miss(plant, x) + 0.5 * self.pace_weight * pace
 
-    def terminal(self, plant: Any, x):
+    def end(self, plant: Any, x):
         """Return the cost of the last state, shape ()."""
         missing = x[-1] - 2 * jnp.pi * plant.turns
         return self.terminal_weight * _miss(plant, x) + self.phase_weight * missing**2
-
-    @property
-    def events(self):
-        """None."""
-        return ()
 
 
 def _miss(plant: Any, x):

@@ -19,7 +19,7 @@ import xarray
 import jaxctrl as jc
 
 from . import _closed_paths as shapes
-from ._free_timing import ClosedPath, OfBody, OnPath, PathCost, StepOnPath
+from ._free_timing import ClosedPath, OnPath, PathCost, StepOnPath
 from ._result import Result, named
 from ._two_thirds_claims import claims as claims
 from ._two_thirds_figure import MODELS, figure as figure, law_of
@@ -70,14 +70,14 @@ class Config:
         )
 
 
-def _body(model: str, config: Config) -> tuple[jc.AbstractHand, OfBody, jc.AbstractIntegrator]:
+def _body(model: str, config: Config) -> tuple[jc.AbstractHand, jc.OfInner, jc.AbstractIntegrator]:
     """Return the plant of a model, what it costs to move it, and how it is integrated."""
     if model == "jerk":
         cost = jc.models.PolynomialJerkCost(config.jerk, 0.0)  # pyright: ignore[reportCallIssue]
-        return jc.plants.FreeHand(), OfBody(cost), jc.plants.PolynomialJerk()  # pyright: ignore[reportCallIssue]
+        return jc.plants.FreeHand(), jc.OfInner(cost), jc.plants.PolynomialJerk()  # pyright: ignore[reportCallIssue]
     arm = jc.plants.TorqueArm() if model == "torque" else jc.plants.MuscleArm()
     cost = jc.tasks.Effort(config.effort)  # pyright: ignore[reportCallIssue]
-    return arm, OfBody(cost), jc.RK4()  # pyright: ignore[reportCallIssue]
+    return arm, jc.OfInner(cost), jc.RK4()  # pyright: ignore[reportCallIssue]
 
 
 def _start(body: jc.AbstractHand, hand):

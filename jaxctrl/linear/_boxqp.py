@@ -10,7 +10,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from .._linalg import matmul, solve_positive
 
@@ -88,16 +88,15 @@ def box_qp(
     return BoxQP(x, free, end.positive, end.finished, end.num_steps)
 
 
-def check_bounds(lower: Array, upper: Array) -> None:
+def check_bounds(lower: ArrayLike, upper: ArrayLike) -> None:
     """Raise ValueError where bounds that are known have changed places."""
     if any(isinstance(bound, jax.core.Tracer) for bound in (lower, upper)):
         return
-    lower, upper = np.asarray(lower), np.asarray(upper)
-    if (lower > upper).any():
-        i = int(np.argmax(lower > upper))
+    low, high = np.asarray(lower), np.asarray(upper)
+    if (low > high).any():
+        i = int(np.argmax(low > high))
         raise ValueError(
-            f"lower <= upper is wanted, got {lower[i]} > {upper[i]} at index {i}; were they "
-            "exchanged?"
+            f"lower <= upper is wanted, got {low[i]} > {high[i]} at index {i}; were they exchanged?"
         )
 
 

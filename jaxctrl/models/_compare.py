@@ -11,13 +11,12 @@ from matplotlib.figure import Figure
 
 from .. import analysis, plot
 from .._checks import is_concrete
-from .._cost import parts
 from .._problem import Problem
 from .._solution import Solution
 from .._solve import solve
 from ..solvers import DDP, AbstractSolver
-from ..tasks import HandPath, HandTarget, Obstacle, ViaPoints
-from ._models import AbstractModel
+from ..tasks import Marks
+from ._models import AbstractModel, marks
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,18 +105,12 @@ class Comparison:
     def figure(self) -> Figure:
         """Draw the paths, with targets, via-points and obstacles, beside the speed profiles."""
         figure, axes = plot.panels(1, 2, size=(7.5, 3.0))
-        found = parts(self.task.cost)
-        via = [part.points for part in found if isinstance(part, ViaPoints)]
-        discs = [
-            [*np.asarray(part.centre), float(part.radius)]
-            for part in found
-            if isinstance(part, Obstacle)
-        ]
+        shown = _marks(self.task)
         plot.hand_paths(
             list(self.hands),
-            _targets(self.task),
-            via=np.concatenate(via) if via else None,
-            obstacles=discs or None,
+            shown.targets,
+            via=shown.points if len(shown.points) else None,
+            obstacles=shown.obstacles if len(shown.obstacles) else None,
             labels=self.names,
             ax=axes[0, 0],
         )
@@ -129,22 +122,28 @@ class Comparison:
 
 def _errors(task: Problem, hand: np.ndarray) -> tuple[float | None, float | None]:
     """Return a path's deviation and its error at the end [m]; None where the task has none."""
-    targets = _targets(task)
-    for part in parts(task.cost):
-        if isinstance(part, HandPath):
-            wanted = np.asarray(jax.vmap(part.at)(task.ts))
-            squares = np.sum((hand - wanted) ** 2, axis=1)
-            return float(np.sqrt(np.mean(squares))), float(np.sqrt(squares[-1]))
+    shown = _marks(task)
+    targets = shown.targets
+    if shown.path is not None:
+        s, at = np.linspace(0, 1, len(hand)), np.linspace(0, 1, len(shown.path))
+        wanted = np.stack([np.interp(s, at, column) for column in shown.path.T], axis=1)
+        squares = np.sum((hand - wanted) ** 2, axis=1)
+        return float(np.sqrt(np.mean(squares))), float(np.sqrt(squares[-1]))
     straight = np.linalg.norm(hand[-1] - hand[0]) > 1e-6
     aside = abs(float(analysis.deviation(hand))) if straight else None
     error = float(np.linalg.norm(hand[-1] - targets[-1])) if len(targets) else None
     return aside, error
 
 
-def _targets(task: Problem) -> np.ndarray:
-    """Return the targets of the hand [m], (n, 2)."""
-    found = [part.position for part in parts(task.cost) if isinstance(part, HandTarget)]
-    return np.array(found).reshape(-1, 2)
+def _marks(task: Problem) -> Marks:
+    """Return what all parts of a task's cost show, as NumPy arrays; of several paths the first."""
+    shown = (Marks(), *marks(task))
+    points = [
+        np.concatenate([np.reshape(one[i], (-1, size)) for one in shown])
+        for i, size in enumerate((2, 2, 3))
+    ]
+    paths = [np.asarray(one.path) for one in shown if one.path is not None]
+    return Marks(points[0], points[1], points[2], paths[0] if paths else None)
 
 
 def compare(
@@ -159,7 +158,7 @@ def compare(
 
     Arguments:
         models: such as `jc.models.MinimumJerk()`.
-        task: a movement made by `jc.tasks`.
+        task: a movement made by `jc.tasks`, with costs of your own or not.
         x0: the starting state of the task's plant, shape (nx,); each model makes its own of it.
         solver, max_steps: as in `jc.solve`; `DDP()` by default, whose convergence does not slow
             down where the costs of torque changes make an ILQR's do so.

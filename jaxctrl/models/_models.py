@@ -6,7 +6,7 @@ import functools
 import operator
 import warnings
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -14,33 +14,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from .._augmented import AbstractAugmented, OfInner
 from .._checks import check_array, is_concrete
-from .._cost import AbstractCost, parts
 from .._jacobian import dependence
 from .._plant import AbstractArm, AbstractHand
 from .._problem import Problem, check_x0
+from .._terms import AbstractCost, At, parts, terms
 from .._types import leaf
 from ..plants import FreeHand, PolynomialJerk, RateControlled
-from ..tasks import (
-    Effort,
-    HandPath,
-    HandTarget,
-    JointLimits,
-    Obstacle,
-    PostureTarget,
-    ViaPoints,
-)
+from ..tasks import Effort, Marks
 from ._costs import Balance, HandJerk, PolynomialJerkCost, TorqueChange
-
-OF_THE_HAND = (HandTarget, HandPath, ViaPoints, Obstacle)
 
 
 class AbstractModel(eqx.Module):
     """What a movement optimises, besides reaching its goals.
 
     `problem(task)` keeps a task's plant, goals and grid, and puts the model's cost in the place of
-    the task's `Effort`; `start(task, x0)` gives the state from which to solve it, which may have
-    more parts than x0:
+    the parts of its cost that are of the "effort" (`AbstractCost.of`); all others, your own among
+    them, are goals, and stay those of the task's own plant. `start(task, x0)` gives the state from
+    which to solve it, which may have more parts than x0:
 
         solution = jc.solve(model.problem(task), jc.DDP(), model.start(task, x0))
 
@@ -87,18 +79,17 @@ class AbstractModel(eqx.Module):
 def goals(task: Problem) -> tuple[AbstractCost, ...]:
     """Return the parts of a task's cost that are not its effort.
 
-    Raises TypeError for what is no problem, or one whose goals a model cannot tell from effort.
+    Raises TypeError for what is no problem.
     """
     if not isinstance(task, Problem):
         raise TypeError(f"task: a problem such as jc.tasks.reach(...) is wanted, got {task!r}")
-    found = tuple(part for part in parts(task.cost) if not isinstance(part, Effort))
-    for part in found:
-        if not isinstance(part, (*OF_THE_HAND, PostureTarget, JointLimits)):
-            raise TypeError(
-                f"task: one made by jc.tasks, of costs of the hand or posture, is wanted, got "
-                f"{type(part).__name__}"
-            )
-    return found
+    return tuple(part for part in parts(task.cost) if part.of != "effort")
+
+
+def marks(task: Problem) -> tuple[Marks, ...]:
+    """Return what the parts of a task's cost show in plots, in order."""
+    found = (getattr(part, "marks", None) for part in parts(task.cost))
+    return tuple(one for one in found if one is not None)
 
 
 def _replace(
@@ -122,7 +113,10 @@ def _arm(task: Problem, model: AbstractModel) -> AbstractArm:
 def _on_arm(model: AbstractModel, task: Problem) -> Problem:
     """Return the problem of a model that moves the task's own arm."""
     arm = _moved(model, _arm(task, model))
-    problem = _replace(task, goals(task), arm, model.cost(arm), task.integrator)
+    kept = goals(task)
+    if arm is not task.plant:
+        kept = [OfInner(goal) for goal in kept]  # pyright: ignore[reportCallIssue]
+    problem = _replace(task, kept, arm, model.cost(arm), task.integrator)
     if task.control_bounds is None:
         return problem
     if arm is not task.plant:
@@ -135,7 +129,7 @@ def _on_arm(model: AbstractModel, task: Problem) -> Problem:
     )
 
 
-def _moved(model: AbstractModel, arm: AbstractArm) -> AbstractArm:
+def _moved(model: AbstractModel, arm: AbstractArm) -> Any:
     """Return the arm, with its torques made states where the model wants their rate of change."""
     x, u = jnp.zeros((arm.nx,)), jnp.zeros((arm.nu,))
     jumps = dependence(lambda u: arm.joint_torque(x, u), u).any()
@@ -144,7 +138,7 @@ def _moved(model: AbstractModel, arm: AbstractArm) -> AbstractArm:
 
 def _start_on_arm(model: AbstractModel, task: Problem, x0: ArrayLike) -> Array:
     arm, x0 = _moved(model, _arm(task, model)), check_x0(task, x0)
-    return arm.lift(x0) if isinstance(arm, RateControlled) else x0
+    return x0 if arm is task.plant else arm.lift(x0)
 
 
 class MinimumEnergy(AbstractModel):
@@ -197,7 +191,7 @@ class MinimumTorqueChange(AbstractModel):
     def cost(self, plant):
         """Return the cost of changing torques, of an unbalanced end, and of muscles' effort."""
         cost = TorqueChange(self.weight) + Balance(self.balance)
-        return cost if isinstance(plant, RateControlled) else cost + Effort(self.effort)
+        return cost if isinstance(plant, AbstractAugmented) else cost + Effort(self.effort)
 
     def problem(self, task):
         """Return the task on the arm whose torques cannot jump."""
@@ -235,17 +229,14 @@ class MinimumJerk(AbstractModel):
         return HandJerk(self.weight, self.acceleration_weight)
 
     def problem(self, task):
-        """Return the task of a free hand, which has no joints and so no limits of them.
+        """Return the task of a free hand, which has no joints and so no prices of them.
 
         Raises TypeError for goals that are not of the hand alone, such as a posture.
         """
-        kept = [goal for goal in goals(task) if not isinstance(goal, JointLimits)]
+        kept = [goal for goal in goals(task) if goal.of != "joints"]
         for goal in kept:
-            if not isinstance(goal, OF_THE_HAND):
-                raise TypeError(
-                    f"task: {self.name} moves the hand alone and has no {type(goal).__name__}"
-                )
-        beside = any(isinstance(goal, Obstacle) for goal in kept)
+            _check_of_hand(self, task, goal)
+        beside = any(len(one.obstacles) for one in marks(task))
         if beside and is_concrete(self.weight) and float(np.asarray(self.weight)) < 1e-9:
             warnings.warn(
                 f"MinimumJerk: beside its weight of {float(np.asarray(self.weight)):.0e} the "
@@ -262,6 +253,29 @@ class MinimumJerk(AbstractModel):
             raise TypeError(f"task: a plant with a hand is wanted, got {type(plant).__name__}")
         hand, velocity = plant.hand(x0), plant.hand_velocity(x0)
         return jnp.concatenate([hand, velocity, jnp.zeros_like(hand)])
+
+
+def _check_of_hand(model: AbstractModel, task: Problem, goal: AbstractCost) -> None:
+    """Raise TypeError for a goal that cannot be evaluated where there is a hand alone."""
+    found = terms(goal)
+    name = (found.rates + found.residuals + found.ends + found.events)[0].name.split(".")[0]
+    if goal.of != "hand":
+        raise TypeError(
+            f"task: {model.name} moves the hand alone and has no {name}; a cost that asks a plant "
+            'for its hand and nothing else says `of = "hand"`'
+        )
+    plant, zero = FreeHand(), jnp.zeros(())
+    x, u = jnp.zeros((plant.nx,)), jnp.zeros((plant.nu,))
+    at = At(x, u, x, zero, jnp.array(0), task.dt, zero)
+    try:
+        jax.eval_shape(lambda: [term.value(plant, at) for term in found.rates + found.residuals])
+        jax.eval_shape(lambda: [term.value(plant, x) for term in found.ends])
+        jax.eval_shape(lambda: [event.value(plant, x, at.i) for event in found.events])
+    except Exception as error:
+        raise TypeError(
+            f'task: {name} says `of = "hand"`, but cannot be evaluated for a hand alone, without '
+            f"an arm, as {model.name} has it: {error}"
+        ) from error
 
 
 class WeightedSum(AbstractModel):

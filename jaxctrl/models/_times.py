@@ -1,6 +1,6 @@
 """The duration of a movement, and when it passes its via-points, as variables of the optimum."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
@@ -11,12 +11,11 @@ import scipy.optimize
 from jaxtyping import Array, ArrayLike
 
 from .._checks import is_concrete
-from .._cost import SumCost
 from .._problem import Problem, check_us, check_x0
 from .._solution import Solution
 from .._solve import solve
+from .._terms import AbstractCost, AbstractEvents, terms
 from ..solvers import AbstractSolver
-from ..tasks import HandPath, ViaPoints
 
 GAP = 0.02
 """Least time between two events, as a fraction of the duration; our choice."""
@@ -83,23 +82,30 @@ def optimise_times(
     with more steps it ends closer to the optimum.
 
     Arguments:
-        problem: what to move; made by `jc.tasks`, its via-points and path are known.
+        problem: what to move; a continuous plant. Via-points are all costs that are
+            `AbstractEvents`, your own too; what depends on `at.s`, as a tracked path does, is
+            stretched with the duration.
         solver, x0, us: as in `jc.solve`; us is the start of the first solve.
-        duration: least and largest T [s] when T is free; a tracked path is stretched with it, given
-            passing times are not. None leaves T as it is.
+        duration: least and largest T [s] when T is free; given passing times stay what they are.
+            None leaves T as it is.
         price: cost of a second. With a free duration it should be positive: slower is cheaper.
         passing: whether the passing times of via-points are free.
 
     Returns: `OptimalTimes`; look at `ok`.
 
     Raises ValueError or TypeError, naming the argument, for what does not fit: no free time, a pair
-    that is no range, no via-points.
+    that is no range, no via-points, a discrete plant.
     """
     if not isinstance(problem, Problem):
         raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
     if not is_concrete(x0, *jax.tree.leaves(eqx.filter(problem, eqx.is_array))):
         raise ValueError(
             "problem, x0: known values are wanted, got traced ones (under jit or grad)"
+        )
+    if problem.plant.discrete:
+        raise ValueError(
+            "problem: one of a continuous plant is wanted, whose steps can be longer or shorter, "
+            f"got the discrete plant {type(problem.plant).__name__}"
         )
     x0, us = check_x0(problem, x0), check_us(problem, us)
     start = float(problem.duration)
@@ -108,7 +114,7 @@ def optimise_times(
         raise ValueError("duration, passing: at least one is wanted, or no time is free")
     if passing and not given.size:
         raise ValueError("passing: the problem has no via-points whose times could be free")
-    low, high = _range(duration, start, np.zeros(0) if passing else given)
+    low, high = _range(duration, start, _fixed(problem.cost, passing))
     search = _Search(problem, solver, x0, us, jnp.asarray(price, x0.dtype), given, passing)
     begin = np.concatenate([[np.clip(start, low, high)], given[: given.size * passing]])
     try:
@@ -230,34 +236,32 @@ def _value(leaves, problem, solver, x0, us, price):
     return eqx.filter_value_and_grad(total, has_aux=True)(leaves)
 
 
-def _via_parts(cost) -> list[ViaPoints]:
-    if isinstance(cost, SumCost):
-        return [found for part in cost.parts for found in _via_parts(part)]
-    return [cost] if isinstance(cost, ViaPoints) else []
+def _is_events(cost) -> bool:
+    return isinstance(cost, AbstractEvents)
 
 
-def _passing(cost) -> np.ndarray:
-    """Return the passing times of all via-points, in the order of the cost's parts."""
-    times = [np.asarray(part.times, float) for part in _via_parts(cost)]
-    return np.concatenate([np.zeros(0), *times])
+def _passing(cost: AbstractCost) -> np.ndarray:
+    """Return the times of all events that may change, in the order of the cost's parts."""
+    found = [part for part in jax.tree.leaves(cost, is_leaf=_is_events) if _is_events(part)]
+    return np.concatenate([np.zeros(0), *(np.asarray(part.times, float) for part in found)])
+
+
+def _fixed(cost: AbstractCost, passing: bool) -> np.ndarray:
+    """Return the times of all events that stay where they are."""
+    times = np.concatenate([np.zeros(0), *(np.asarray(e.times, float) for e in terms(cost).events)])
+    return np.setdiff1d(times, _passing(cost)) if passing else times
 
 
 def with_times(problem: Problem, duration: Array, times: Array) -> Problem:
-    """Return the problem with another duration [s], shape (), and passing times (m,).
-
-    A tracked path is stretched with the duration.
-    """
+    """Return the problem with another duration [s], shape (), and passing times (m,)."""
     left = times
 
-    def change(cost):
+    def change(part):
         nonlocal left
-        if isinstance(cost, SumCost):
-            return replace(cost, parts=tuple(change(part) for part in cost.parts))
-        if isinstance(cost, ViaPoints):
-            own, left = left[: cost.times.size], left[cost.times.size :]
-            return replace(cost, times=own)
-        return replace(cost, duration=duration) if isinstance(cost, HandPath) else cost
+        if not _is_events(part):
+            return part
+        own, left = left[: part.times.size], left[part.times.size :]
+        return part.with_times(own)
 
-    return eqx.tree_at(
-        lambda p: (p.dt, p.cost), problem, (duration / problem.num_steps, change(problem.cost))
-    )
+    cost = jax.tree.map(change, problem.cost, is_leaf=_is_events)
+    return eqx.tree_at(lambda p: (p.dt, p.cost), problem, (duration / problem.num_steps, cost))

@@ -4,12 +4,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from .._augmented import AbstractAugmented
 from .._plant import AbstractArm
 from .._types import Bounds
 from ._parameters import state_part
 
 
-class RateControlled(AbstractArm):
+class RateControlled(AbstractAugmented, AbstractArm):
     """Control the rate at which an arm's own controls change.
 
     d(x, c)/dt = (f(x, c, t), u)        (Uno, Kawato & Suzuki 1989, for torques)
@@ -19,7 +20,8 @@ class RateControlled(AbstractArm):
     for, and what it costs to change it.
 
     Arguments:
-        arm: any arm without bounds on its controls: here they are states, which have no bounds.
+        arm: any arm without bounds on its controls: here they are states, which have no bounds. It
+            is the plant's `inner`.
 
     Raises ValueError for an arm with bounds or a discrete one, TypeError for what is no arm.
     """
@@ -28,7 +30,7 @@ class RateControlled(AbstractArm):
     nu: int = eqx.field(static=True)
     num_joints: int = eqx.field(static=True)
     discrete: bool = eqx.field(static=True)
-    arm: AbstractArm
+    inner: AbstractArm
     control_bounds: Bounds | None
     nominal_control: Float[Array, " nu"]
 
@@ -44,25 +46,28 @@ class RateControlled(AbstractArm):
             )
         self.nx, self.nu = arm.nx + arm.nu, arm.nu
         self.num_joints, self.discrete = arm.num_joints, False
-        self.arm = arm
+        self.inner = arm
         self.control_bounds = None
         self.nominal_control = jnp.zeros_like(arm.nominal_control)
 
     def __call__(self, x, u, t):
         """Return (f(x, c, t), u), shape (nx + nu,)."""
-        n = self.arm.nx
-        return jnp.concatenate([self.arm(x[:n], x[n:], t), u])
+        return jnp.concatenate([self.inner(*self.split(x, u), t), u])
+
+    def split(self, x: Float[Array, " nx"], u: Float[Array, " nu"]):
+        """Return the arm's state (n,) and the control c (nu,) that acts on it."""
+        return x[: self.inner.nx], self.command(x)
 
     def command(self, x: Float[Array, " nx"]) -> Float[Array, " nu"]:
         """Return the control c (nu,) that acts on the arm in a state (x, c)."""
-        return x[self.arm.nx :]
+        return x[self.inner.nx :]
 
     def lift(self, x: Float[Array, " n"], command: ArrayLike = 0.0) -> Float[Array, " nx"]:
         """Return the state (x, c) for a state x of the arm and a control c, scalar or (nu,).
 
         Raises ValueError when either is not finite or of another shape.
         """
-        x = state_part("x", x, self.nominal_control, (self.arm.nx,))
+        x = state_part("x", x, self.nominal_control, (self.inner.nx,))
         return jnp.concatenate(
             [x, state_part("command", command, self.nominal_control, (self.nu,))]
         )
@@ -70,21 +75,21 @@ class RateControlled(AbstractArm):
     @property
     def dim(self) -> int:
         """That of the arm's hand, 2 or 3."""
-        return self.arm.dim
+        return self.inner.dim
 
     @property
     def longest_reach(self) -> Float[Array, ""]:
         """That of the arm [m], shape ()."""
-        return self.arm.longest_reach
+        return self.inner.longest_reach
 
     def hand_of_joints(self, q: Float[Array, " n"]) -> Float[Array, "2"]:
         """Return the hand's position [m], shape (2,), for joint angles q (n,) [rad]."""
-        return self.arm.hand_of_joints(q)
+        return self.inner.hand_of_joints(q)
 
     def mass_matrix(self, q: Float[Array, " n"]) -> Float[Array, "n n"]:
         """Return M(q) [kg m^2], shape (n, n), for joint angles q (n,) [rad]."""
-        return self.arm.mass_matrix(q)
+        return self.inner.mass_matrix(q)
 
     def joint_torque(self, x: Float[Array, " nx"], u: Float[Array, " nu"]) -> Float[Array, " n"]:
         """Return the torques at the joints [N m], shape (n,), in a state (x, c)."""
-        return self.arm.joint_torque(x[: self.arm.nx], self.command(x))
+        return self.inner.joint_torque(*self.split(x, u))

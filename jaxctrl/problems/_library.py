@@ -107,7 +107,6 @@ def pendulum_2005() -> Posed:
         running=_effort,
         terminal=_upright,
         params={"effort": 0.01, "rate": 0.1},
-        running_is_quadratic=True,
     )
     return _held(Problem(plant, cost, num_steps=400, dt=0.01), [-np.pi, 0.0], 0.5)
 
@@ -176,7 +175,7 @@ def car_parking() -> Posed:
     }
     cost = FunctionCost(running=_parking_step, terminal=_parked, params=params)
     us = 0.1 * np.random.default_rng(5).standard_normal((500, 2))
-    problem = Problem(plant, cost, num_steps=500, dt=plant.dt)
+    problem = Problem(plant, cost, num_steps=500, dt=0.03)
     return Posed(problem, plant.at_rest(jnp.ones(2), 1.5 * np.pi), array_leaf(us))
 
 
@@ -209,8 +208,6 @@ def planar_quadrotor() -> Posed:
         running=_hovering,
         terminal=_hovered,
         params=params,
-        running_is_quadratic=True,
-        terminal_is_quadratic=True,
     )
     problem = Problem(plant, cost, num_steps=200, dt=dt, integrator=RK4())
     return _held(problem, plant.at_rest(jnp.array([10.0, 2.0])), 0.5 * weight)

@@ -43,9 +43,9 @@ class Hamiltonian(eqx.Module):
         self, x: Float[Array, " nx"], u: Float[Array, " nu"], p: Float[Array, " nx"], t: Array
     ) -> Float[Array, ""]:
         """Return H, shape (), at a state x and costate p (nx,), under u (nu,), at time t [s]."""
-        plant, cost = self.problem.plant, self.problem.cost
+        plant = self.problem.plant
         extra = 0.5 * jnp.sum(self.price * (u - plant.nominal_control) ** 2)
-        return cost.running(plant, x, u, t) + extra + jnp.sum(p * plant(x, u, t))
+        return self.problem.running(x, u, t) + extra + jnp.sum(p * plant(x, u, t))
 
     def bounds(self, t: Array) -> tuple[Float[Array, " nu"], Float[Array, " nu"]]:
         """Return the bounds in the step in which t [s] lies, (nu,) each; infinite without any."""
@@ -91,8 +91,8 @@ class Hamiltonian(eqx.Module):
         H = jnp.where(free[:, None] & free, H, jnp.eye(u.size, dtype=u.dtype))
         solved, positive = solve_positive(H, jnp.where(free, slope, 0.0)[:, None])
         step = solved[:, 0]
-        plant, cost = self.problem.plant, self.problem.cost
-        size = jnp.abs(cost.running(plant, x_, u, t)) + jnp.sum(jnp.abs(p_ * plant(x_, u, t)))
+        plant = self.problem.plant
+        size = jnp.abs(self.problem.running(x_, u, t)) + jnp.sum(jnp.abs(p_ * plant(x_, u, t)))
         decrement = 0.5 * jnp.sum(step * jnp.where(free, fixed, 0.0))
         small = decrement <= SMALL_DECREMENT * jnp.finfo(u.dtype).eps * size
         return u - step, jax.lax.stop_gradient(positive & small & certain)
@@ -104,12 +104,12 @@ class Hamiltonian(eqx.Module):
 
     def _moved_value(self, rows: list[int], u, x, p, t):
         """Return H less what does not depend on the controls, which is most of an arm."""
-        plant, cost = self.problem.plant, self.problem.cost
+        plant = self.problem.plant
         extra = 0.5 * jnp.sum(self.price * (u - plant.nominal_control) ** 2)
         rates = plant(x, u, t)
         # Slices one by one: XLA sees through them, and drops the other rates.
         moved = sum((p[i] * rates[i] for i in rows), jnp.zeros((), u.dtype))
-        return cost.running(plant, x, u, t) + extra + moved
+        return self.problem.running(x, u, t) + extra + moved
 
     def rates(self, t: Array, y: Float[Array, " 2*nx"]) -> Float[Array, " 2*nx"]:
         """Return dy/dt = (f, -dH/dx), shape (2 nx,), with u = u*, at y = (x, p) and t [s]."""
@@ -120,7 +120,7 @@ class Hamiltonian(eqx.Module):
 
     def final_slope(self, x: Float[Array, " nx"]) -> Float[Array, " nx"]:
         """Return dh/dx, shape (nx,), at the last state x (nx,)."""
-        return gradient(lambda x: self.problem.cost.terminal(self.problem.plant, x))(x)
+        return gradient(self.problem.end)(x)
 
 
 def _minimise(value, nominal, lower, upper):

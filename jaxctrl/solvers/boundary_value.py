@@ -11,7 +11,6 @@ from jaxtyping import Array
 from .. import _status
 from .._checks import check_integer, is_concrete
 from .._controller import AffinePolicy, clip
-from .._cost import step_costs
 from .._linalg import matmul
 from .._local_model import expand
 from .._problem import Problem
@@ -76,7 +75,7 @@ class BoundaryValue(AbstractDirectSolver):
         max_nodes: limit of the mesh; at least 4.
 
     Raises ValueError, naming the argument, for other values; `solve` raises it for a discrete
-    plant and for costs with events (via-points) or of whole steps (`AbstractStepCost`), which have
+    plant and for costs with events (via-points) or of whole steps (`AbstractResidual`), which have
     no such form.
     """
 
@@ -210,9 +209,9 @@ def _on_grid(problem: Problem, x0: Array, path: Path, price: Array):
 @eqx.filter_jit
 def _continuous_cost(problem: Problem, s: Array, xs: Array, us: Array) -> Array:
     """Return the cost of a path, by the trapezoidal rule over its nodes s (n,), shape ()."""
-    plant, cost, t = problem.plant, problem.cost, s * problem.duration
-    rates = jax.vmap(lambda x, u, t: cost.running(plant, x, u, t))(xs, us, t)
-    return jnp.sum(0.5 * (rates[1:] + rates[:-1]) * jnp.diff(t)) + cost.terminal(plant, xs[-1])
+    t = s * problem.duration
+    rates = jax.vmap(problem.running)(xs, us, t)
+    return jnp.sum(0.5 * (rates[1:] + rates[:-1]) * jnp.diff(t)) + problem.end(xs[-1])
 
 
 @eqx.filter_jit
@@ -274,13 +273,13 @@ def _check(problem: Problem, x0: Array, us: Array) -> None:
         raise ValueError(
             "problem: BoundaryValue solves problems in continuous time, got a discrete plant"
         )
-    if problem.cost.events:
+    if problem.terms.events:
         raise ValueError(
             "problem: BoundaryValue knows running and terminal costs alone, got a cost with "
             "events (via-points)"
         )
-    if step_costs(problem.cost):
-        names = ", ".join(type(part).__name__ for part in step_costs(problem.cost))
+    if problem.terms.residuals:
+        names = ", ".join(name.removesuffix(".residual") for _, name in problem.terms.residuals)
         raise ValueError(
             "problem: BoundaryValue knows running and terminal costs alone, got a cost of whole "
             f"steps, {names}"

@@ -8,6 +8,7 @@ from ._costs import (
     HandPath as HandPath,
     HandTarget as HandTarget,
     JointLimits as JointLimits,
+    Marks as Marks,
     Obstacle as Obstacle,
     PostureTarget as PostureTarget,
     ViaPoints as ViaPoints,

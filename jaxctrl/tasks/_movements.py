@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import check_array, check_integer, check_weights, is_concrete
-from .._cost import AbstractCost, QuadraticCost
+from .._cost import QuadraticCost
 from .._integrate import AbstractIntegrator
 from .._noise import SignalDependentNoise
 from .._plant import AbstractArm, AbstractHand, AbstractPlant
 from .._problem import Problem
+from .._terms import AbstractCost
 from .._types import as_bounds
 from ._checks import LONGEST, check_hand, check_reach, grid
 from ._costs import (
@@ -294,7 +295,7 @@ def track(
         raise ValueError(f"path: got shape {shape}, wanted (m, {plant.dim}) with m >= 2{hint}")
     points = check_array("path", path, shape)
     check_reach(plant, "path", points)
-    cost = HandPath(points, duration, path_weight, path_weight * dt)
+    cost = HandPath(points, path_weight, path_weight * dt)
     return _problem(plant, cost, duration, num_steps, effort, motor_noise, integrator, LONG)
 
 

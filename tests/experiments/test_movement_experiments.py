@@ -11,7 +11,7 @@ from jaxctrl._integrate import RK4
 from jaxctrl._problem import Problem
 from jaxctrl.analysis import curvature, path_length
 from jaxctrl.experiments import _closed_paths as shapes, curvature_map
-from jaxctrl.experiments._free_timing import ClosedPath, OfBody, OnPath, PathCost, StepOnPath
+from jaxctrl.experiments._free_timing import ClosedPath, OnPath, PathCost, StepOnPath
 from jaxctrl.plants import FreeHand, MuscleArm, PolynomialJerk, TorqueArm
 from jaxctrl.tasks import Effort
 
@@ -66,10 +66,11 @@ def test_cost_is_the_distance_from_the_path_and_from_the_last_phase(wave):
     u = jnp.array([0.4, -0.3, 2.5])
     miss = np.sum((body.hand(x[:-1]) - shapes.curve(wave, np.array([2.0]))[0]) ** 2)
     pace = np.sum((2.5 * shapes.curve(wave, np.array([2.0]), 1)[0]) ** 2)
-    cost = PathCost(30.0, pace_weight=0.1) + OfBody(Effort(2.0))
+    cost = PathCost(30.0, pace_weight=0.1) + jc.OfInner(Effort(2.0))
     wanted = 30 * miss + 0.05 * pace + 0.4**2 + 0.3**2
-    assert_allclose(cost.running(plant, x, u, 0.0), wanted)
-    assert_allclose(cost.terminal(plant, x), 100 * miss + (2.0 - 4 * np.pi) ** 2)
+    problem = Problem(plant, cost, num_steps=1)
+    assert_allclose(problem.running(x, u, 0.0), wanted)
+    assert_allclose(problem.end(x), 100 * miss + (2.0 - 4 * np.pi) ** 2)
 
 
 def test_free_timing_of_a_circle_is_uniform_and_completes_its_turns():
@@ -78,7 +79,7 @@ def test_free_timing_of_a_circle_is_uniform_and_completes_its_turns():
     wave[0] = 0.05 * np.eye(2)
     body, num_steps, dt = FreeHand(), 100, 0.02
     plant = on_path(body, wave, turns=2.0, rate=2 * np.pi)
-    cost = PathCost(30.0) + OfBody(jc.models.PolynomialJerkCost(1e-7, 0.0))
+    cost = PathCost(30.0) + jc.OfInner(jc.models.PolynomialJerkCost(1e-7, 0.0))
     step = StepOnPath(PolynomialJerk())
     problem = Problem(plant, cost, num_steps=num_steps, dt=dt, integrator=step)
     x0 = jnp.append(body.at_rest(plant.path(0.0)), 0.0)

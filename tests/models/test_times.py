@@ -164,7 +164,7 @@ def test_both_may_be_free(via, x0):
     assert both.value < one.value and both.times[0] != 0.218
     for found in (one, both):
         np.testing.assert_allclose(found.value, min(found.history), rtol=1e-12)
-        part = jc._cost.parts(found.problem.cost)[2]
+        part = jc.parts(found.problem.cost)[2]
         np.testing.assert_allclose(part.times, found.times)
     np.testing.assert_allclose(one.times, [0.218])
     rebuilt = jc.tasks.via(
@@ -212,7 +212,7 @@ def test_times_in_different_parts_keep_their_order(arm, x0):
     more = jc.tasks.ViaPoints(jnp.zeros((2, 2)), jnp.array([0.2, 0.3]))
     problem = jc.Problem(arm, one.cost + more, num_steps=20, dt=0.025)
     changed = with_times(problem, jnp.asarray(1.0), jnp.array([0.4, 0.5, 0.6]))
-    times = [part.times for part in jc._cost.parts(changed.cost) if hasattr(part, "times")]
+    times = [part.times for part in jc.parts(changed.cost) if hasattr(part, "times")]
     np.testing.assert_array_equal(np.concatenate(times), [0.4, 0.5, 0.6])
     np.testing.assert_allclose(changed.dt, 0.05)
 

@@ -34,7 +34,7 @@ def test_constant_torques_move_it_as_they_move_the_arm(arm, integrator):
 
 def test_torques_are_the_sum_of_their_rates():
     plant, rates = RateControlled(TorqueArm()), np.random.default_rng(0).normal(size=(20, 2))
-    xs = rollout(plant, plant.lift(plant.arm.at_rest(0.7, 1.2), [0.3, -0.1]), rates)
+    xs = rollout(plant, plant.lift(plant.inner.at_rest(0.7, 1.2), [0.3, -0.1]), rates)
     torques = np.array([0.3, -0.1]) + 0.01 * np.cumsum(rates, axis=0)
     np.testing.assert_allclose(xs[1:, 4:], torques, rtol=1e-12)
     for x, torque in zip(xs[1:], torques, strict=True):
@@ -140,7 +140,7 @@ def test_a_free_hand_at_rest_moves_on_at_its_velocity():
 
 def test_float32_stays_float32(float32):
     arm, hand = RateControlled(TorqueArm()), FreeHand()
-    assert arm.lift(arm.arm.at_rest(0.7, 1.2), 0.1).dtype == jnp.float32
+    assert arm.lift(arm.inner.at_rest(0.7, 1.2), 0.1).dtype == jnp.float32
     assert jax.eval_shape(arm, jnp.ones(6), jnp.ones(2), jnp.zeros(())).dtype == jnp.float32
     dt = jnp.array(0.1)
     step = jax.eval_shape(PolynomialJerk(), hand, hand.at_rest([0.1, 0.2]), jnp.ones(6), 0.0, dt)

@@ -271,22 +271,15 @@ def test_it_says_that_it_cannot_be_traced():
         jc.solve_batch(problem, solver, jnp.stack([X0, X0]))
 
 
-class Change(jc.AbstractStepCost):
-    running_is_quadratic: bool = True
-    terminal_is_quadratic: bool = True
+class Change(jc.AbstractRate, jc.AbstractResidual, jc.AbstractEnd):
+    def rate(self, plant, at):
+        return 0.5 * at.u @ at.u
 
-    def running(self, plant, x, u, t):
-        return 0.5 * u @ u
-
-    def terminal(self, plant, x):
+    def end(self, plant, x):
         return x @ x
 
-    @property
-    def events(self):
-        return ()
-
-    def residual(self, plant, x, u, after, dt):
-        return (after - x) / dt
+    def residual(self, plant, at):
+        return (at.after - at.x) / at.dt
 
 
 def test_what_has_no_boundary_value_problem_is_refused():

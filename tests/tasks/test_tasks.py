@@ -76,10 +76,11 @@ def test_obstacle_is_cleared_and_its_clearance_grows_with_its_weight(arm, x0):
 
 def test_obstacle_cost_is_infinite_inside_with_finite_derivatives_outside(arm):
     disc = jc.tasks.Obstacle(jnp.array([0.0, 0.4]), 0.02, 1e-8)
+    alone = jc.Problem(arm, disc, num_steps=1)
 
     def rate(hand):
         x = jnp.concatenate([arm.inverse_kinematics(hand), jnp.zeros(2)])
-        return disc.running(arm, x, jnp.zeros(2), 0.0)
+        return alone.running(x, jnp.zeros(2), 0.0)
 
     assert rate(jnp.array([0.01, 0.4])) == jnp.inf
     np.testing.assert_allclose(rate(jnp.array([0.03, 0.4])), 1e-8 / 0.01**2, rtol=1e-6)
@@ -122,11 +123,11 @@ def test_effort_is_of_the_controls_or_of_the_torques_that_are_states(arm, of_sta
         (np.array([0.7, 0.1]), 0.5 * (0.7 * c[0] ** 2 + 0.1 * c[1] ** 2)),
         (W, 0.5 * c @ W @ c),
     ):
-        effort = jc.tasks.Effort(weight)
-        np.testing.assert_allclose(effort.running(plant, x, u, 0.0), wanted, rtol=1e-12)
-        assert effort.terminal(plant, x) == 0 and effort.events == ()
+        alone = jc.Problem(plant, jc.tasks.Effort(weight), num_steps=1)
+        np.testing.assert_allclose(alone.running(x, u, 0.0), wanted, rtol=1e-12)
+        assert alone.end(x) == 0 and alone.terms.events == ()
     with pytest.raises(ValueError, match=r"^effort: shape \(3,\)"):
-        jc.tasks.Effort(np.ones(3)).running(plant, x, u, 0.0)
+        jc.Problem(plant, jc.tasks.Effort(np.ones(3)), num_steps=1).running(x, u, 0.0)
 
 
 def test_tasks_with_known_numbers_may_be_built_under_jit(arm):

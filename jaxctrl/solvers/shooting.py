@@ -115,9 +115,9 @@ def step(
     trial = _search(problem, state, solver, wanted)
     fraction = jnp.where(state.measured, trial.fraction, 0.0)
     # Where the exact second order has led to nothing, Gauss and Newton's is tried before more
-    # regularisation, and the exact one where Gauss and Newton's is not convex.
+    # regularisation, and the exact one where Gauss and Newton's has no curvature at all.
     undone = state.second & (fraction == 0)
-    trying = solver.second_order & state.measured & ~state.second & ~state.sweep.ok
+    trying = solver.second_order & state.measured & ~state.second & _bare(state)
     anew = undone | (trying & (state.fraction > 0))
     lam, factor = _schedule(state, fraction, state.measured & ~anew)
     lam = jnp.where(last, 0.0, lam)
@@ -157,8 +157,13 @@ def _marquardt(state: ShootingState) -> Array:
     curvature = jnp.abs(state.sweep.curvature)
     curvature = jnp.maximum(curvature, 1e-3 * curvature.mean())
     price = price_of_moving(state.us, state.sweep.gradient)
-    none = curvature.max() <= jnp.finfo(price.dtype).eps * price.max()
-    return jnp.where(none, price, curvature)
+    return jnp.where(_bare(state), price, curvature)
+
+
+def _bare(state: ShootingState) -> Array:
+    """Tell whether the last model had no curvature in the controls."""
+    price = price_of_moving(state.us, state.sweep.gradient)
+    return jnp.max(jnp.abs(state.sweep.curvature)) <= jnp.finfo(price.dtype).eps * price.max()
 
 
 def _search(

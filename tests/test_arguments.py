@@ -1,5 +1,7 @@
 """Arguments that cannot be meant are refused by name; NumPy's integers are integers."""
 
+# pyright: reportArgumentType=false
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp

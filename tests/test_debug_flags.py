@@ -67,4 +67,4 @@ def test_the_application_keeps_its_flags():
     with jax.numpy_rank_promotion("raise"):
         jc.solve(problem, jc.ILQR(), x0, max_steps=1)
         with pytest.raises(ValueError, match="rank_promotion"):
-            jnp.ones((2, 2)) + jnp.ones(2)
+            _ = jnp.ones((2, 2)) + jnp.ones(2)

@@ -300,7 +300,7 @@ def test_every_end_has_its_status(solver):
     assert bad.name == "NONFINITE_COST" and int(bad.index) == 10
     kink = jc.FunctionCost(running=lambda x, u, t: jnp.sqrt(u[0] ** 2) + u[0] ** 2)
     assert name(swing(cost=kink), solver, X0) == "NONFINITE_DERIVATIVE"
-    with pytest.raises(ValueError, match="memory: an integer >= 1 is wanted, got 0"):
+    with pytest.raises(ValueError, match="memory: at least 1 is wanted, got 0"):
         jc.LBFGS(memory=0)
     # What lies below the costs' own round-off cannot be reached, and is not claimed.
     tight = type(solver)(gradient_tolerance=1e-12)

@@ -85,7 +85,7 @@ def _attach_jvp(primals, tangents):
         value, slopes = stage_lagrangian(problem, xs, us, p)
         return along, value, slopes, problem.bounds
 
-    offset, value, (lx, lu, vx), t_bounds = push_forward(local, arrays, t_problem)
+    _, (offset, value, (lx, lu, vx), t_bounds) = push_forward(local, arrays, t_problem)
     free = side == 0
     held = jnp.zeros_like(us)
     if t_bounds is not None:
@@ -132,10 +132,11 @@ def _gains_jvp(primals, tangents):
     given = (arrays, xs, us)
     along = (_instantiate(arrays, t_problem), _instantiate(xs, t_xs), _instantiate(us, t_us))
 
-    def gains(arrays, xs, us):
+    def gains(given):
+        arrays, xs, us = given
         return solver.gains(eqx.combine(arrays, static), xs, us, side)
 
-    again, t_K = jax.jvp(gains, given, along)
+    again, t_K = push_forward(gains, given, (t_problem, t_xs, t_us))
     room = jnp.finfo(K.dtype).eps ** (1 / 3) * jnp.max(jnp.abs(K), initial=0.0)
     fine = ok & (jnp.abs(again - K) <= room).all()
     every, _ = jax.flatten_util.ravel_pytree(along)

@@ -177,18 +177,19 @@ def _has(jaxpr: Any, names: set[str]) -> bool:
 
 
 def push_forward(function: Callable, x, tangents):
-    """Return a function's tangents at the pytree x, where None stands for a tangent of zero.
+    """Return a function's value and tangents at the pytree x; a tangent of None is zero.
 
-    To transpose them, as reverse mode does, raises RuntimeError with what is missing where a loop
-    makes it impossible.
+    To transpose the tangents, as reverse mode does, raises RuntimeError with what is missing where a
+    loop makes it impossible.
     """
     moved = jax.tree.map(lambda _, t: t is not None, x, tangents)
     moving, resting = eqx.partition(x, moved)
     some = lambda moving: function(eqx.combine(moving, resting))  # noqa: E731
-    out = jax.jvp(some, (moving,), (tangents,))[1]
-    if reversible(some, moving):
-        return out
-    return nondifferentiable_backward(out, msg=f"{NO_REVERSE}; jax.jvp and jax.jacfwd work")
+    out, pushed = jax.jvp(some, (moving,), (tangents,))
+    if not reversible(some, moving):
+        message = f"{NO_REVERSE}; jax.jvp and jax.jacfwd work"
+        pushed = nondifferentiable_backward(pushed, msg=message)
+    return out, pushed
 
 
 def _shapes(*args):

@@ -111,6 +111,15 @@ def test_reverse_derivatives_through_the_loop_say_what_is_missing(batched):
         jax.eval_shape(jax.grad(cost), problem(True))
 
 
+def test_gains_are_differentiated_forward_alone():
+    def gains(x0):
+        return jc.solve(problem(True), jc.ILQR(), x0).policy.K
+
+    jax.eval_shape(jax.jacfwd(gains), X0)
+    with pytest.raises(RuntimeError, match=r"does not go through a lax.while_loop.*jax.jvp"):
+        jax.eval_shape(jax.jacrev(gains), X0)
+
+
 @pytest.mark.parametrize("solver", [jc.LBFGS(), jc.ConjugateGradient()])
 def test_solvers_by_reverse_mode_refuse_it(solver):
     with pytest.raises(ValueError, match=r"through a lax.while_loop.*ILQR and DDP do without"):

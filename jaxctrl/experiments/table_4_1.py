@@ -147,6 +147,7 @@ def figure(result: Result) -> Figure:
             ax.set_title(PROBLEMS[name], loc="left")
             ax.set_xlabel("time / ILQR's")
     with jc.plot.style():
+        axes[0, 0].set_ylabel("method")
         axes[0, -1].legend(loc="upper left", bbox_to_anchor=(1.02, 1.0))
     return fig
 

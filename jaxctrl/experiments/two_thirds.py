@@ -60,7 +60,7 @@ class Config:
         """Return settings with fewer, shorter and coarser records."""
         return cls(
             duration=2.0,
-            num_steps=60,
+            num_steps=80,
             ellipses=2,
             ellipse_turns=2,
             scribbles=1,

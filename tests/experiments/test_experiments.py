@@ -50,9 +50,14 @@ FAILING = {
         "All reaches of minimum energy (six muscles) are solved and arrive",
         "Curvature of minimum energy (six muscles) depends on the area of the workspace",
         "Transverse reaches of minimum torque change (torque arm) curve more than radial ones",
-        "Transverse reaches of minimum energy (six muscles) curve more than radial ones",
         "Both models curve the same reaches to the same side",
     },
+}
+# So few reaches of muscles, not all of them solved, that rounding decides.
+EITHER = {
+    "curvature-map": {
+        "Transverse reaches of minimum energy (six muscles) curve more than radial ones"
+    }
 }
 # Claims about times, which may go either way on a busy machine: test_chapter_4.py judges them by
 # made-up times.
@@ -91,7 +96,8 @@ def judge(name, claims):
     assert len(set(statements)) == len(statements)
     timed = tuple(TIMED.get(name, ()))
     judged = [claim for claim in claims if not (timed and claim.statement.startswith(timed))]
-    assert {claim.statement for claim in judged if not claim.holds} == FAILING.get(name, set())
+    failing = {claim.statement for claim in judged if not claim.holds}
+    assert failing - EITHER.get(name, set()) == FAILING.get(name, set())
     for claim in claims:
         assert claim.holds or claim.note, claim.statement
 

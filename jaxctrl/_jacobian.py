@@ -179,8 +179,8 @@ def _has(jaxpr: Any, names: set[str]) -> bool:
 def push_forward(function: Callable, x, tangents):
     """Return a function's value and tangents at the pytree x; a tangent of None is zero.
 
-    To transpose the tangents, as reverse mode does, raises RuntimeError with what is missing where a
-    loop makes it impossible.
+    To transpose the tangents, as reverse mode does, raises RuntimeError with what is missing where
+    a loop makes it impossible.
     """
     moved = jax.tree.map(lambda _, t: t is not None, x, tangents)
     moving, resting = eqx.partition(x, moved)

@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from ._plant import AbstractHand, AbstractPlant
+from ._plant import AbstractHand, AbstractPlant, nominal_control
 from ._terms import AbstractCompound, AbstractCost, At, Events, Term, Terms, check, parts, terms
 
 
@@ -48,11 +48,11 @@ class AbstractAugmentedHand(AbstractAugmented, AbstractHand):
 
     def hand(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
         """Return the position of the hand [m], shape (2,), at a state x (nx,)."""
-        return self.inner.hand(self.split(x, self.nominal_control)[0])
+        return self.inner.hand(_inner_state(self, x))
 
     def hand_velocity(self, x: Float[Array, " nx"]) -> Float[Array, "2"]:
         """Return the velocity of the hand [m/s], shape (2,), at a state x (nx,)."""
-        return self.inner.hand_velocity(self.split(x, self.nominal_control)[0])
+        return self.inner.hand_velocity(_inner_state(self, x))
 
 
 def innermost(plant: Any, x, u) -> tuple[Any, Array, Array]:
@@ -127,4 +127,4 @@ class OfInner(AbstractCompound):
 
 
 def _inner_state(plant: AbstractAugmented, x):
-    return plant.split(x, plant.nominal_control)[0]
+    return plant.split(x, nominal_control(plant))[0]

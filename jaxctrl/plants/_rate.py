@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from .._augmented import AbstractAugmented
-from .._plant import AbstractArm
+from .._plant import AbstractArm, nominal_control
 from .._types import Bounds
 from ._parameters import state_part
 
@@ -48,7 +48,7 @@ class RateControlled(AbstractAugmented, AbstractArm):
         self.num_joints, self.discrete = arm.num_joints, False
         self.inner = arm
         self.control_bounds = None
-        self.nominal_control = jnp.zeros_like(arm.nominal_control)
+        self.nominal_control = jnp.zeros_like(nominal_control(arm))
 
     def __call__(self, x, u, t):
         """Return (f(x, c, t), u), shape (nx + nu,)."""

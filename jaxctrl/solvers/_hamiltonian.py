@@ -83,7 +83,7 @@ class Hamiltonian(eqx.Module):
         nominal = nominal_control(self.problem.plant).astype(lower.dtype)
         u, certain = _minimise(value, nominal, lower, upper)
         # One more step, of length zero but for its derivative.
-        u = jax.lax.stop_gradient(u)
+        u = jax.lax.stop_gradient(_onto(u, lower, upper))
         slope = gradient(lambda u, x, p, t: self._moved_value(rows, u, x, p, t))(u, x, p, t)
         fixed = jax.lax.stop_gradient(slope)
         free = ~(((u <= lower) & (fixed > 0)) | ((u >= upper) & (fixed < 0)))
@@ -121,6 +121,13 @@ class Hamiltonian(eqx.Module):
     def final_slope(self, x: Float[Array, " nx"]) -> Float[Array, " nx"]:
         """Return dh/dx, shape (nx,), at the last state x (nx,)."""
         return gradient(self.problem.end)(x)
+
+
+def _onto(u, lower, upper):
+    """Put on its bound what rounding left a few units inside it."""
+    eps = 4 * jnp.finfo(u.dtype).eps
+    u = jnp.where(u <= lower + eps * jnp.abs(lower), lower, u)
+    return jnp.where(u >= upper - eps * jnp.abs(upper), upper, u)
 
 
 def _minimise(value, nominal, lower, upper):

@@ -53,7 +53,12 @@ def solve_batch(
     has an axis B, or they differ in it. Lanes that fail raise nothing: read `status.ok`.
     """
     check_instance("problem", problem, Problem, "a jc.Problem is wanted")
-    check_instance("solver", solver, AbstractSolver, "a solver that iterates is wanted")
+    check_instance(
+        "solver",
+        solver,
+        AbstractSolver,
+        "a solver that iterates is wanted (BoundaryValue runs on the host, one problem at a time)",
+    )
     chunk = None if chunk is None else check_integer("chunk", chunk, 1)
     max_steps = check_max_steps(max_steps)
     batched = problem.dt.ndim == 1

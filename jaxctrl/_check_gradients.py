@@ -26,6 +26,8 @@ TIGHT = 1e-7
 """The relative projected gradient below which a solve beside the optimum counts."""
 KINK = 30.0
 """How many uncertainties apart the quotients of two sides are at a kink, not only noisy."""
+NOTHING = 1e-7
+"""A change relative to the output itself, for a whole change of the input, that counts as none."""
 ASIDE = 1e-2
 """By how much the disturbed run starts aside, relative to one more than each state's range."""
 TRIFLE = 1e-6
@@ -42,7 +44,8 @@ class GradientRow(NamedTuple):
         derivative, difference: norms of the derivative along the input's direction, and of the
             difference quotient. The direction is random, with entries of 0.5 to 1 times the
             input's largest one (0.001 where all are zero), and the same in every report.
-        error: the norm of what they differ by, relative to the larger of the two. The derivative
+        error: the norm of what they differ by, relative to the larger of the two, or to 1e-7 of the
+            output where both are smaller. The derivative
             is as good as the solve: with a gradient tolerance g expect up to a few g.
         uncertainty: by how much difference quotients of two steps differ, in the same measure; an
             error that is not above it says nothing.
@@ -217,7 +220,7 @@ def _compare(name: str, found: _Solves, inputs, tangents, rng) -> list[GradientR
     rows = []
     for j, (output, derivative) in enumerate(zip(OUTPUTS, derivatives, strict=True)):
         side, difference, uncertainty, step = differences.nearest(derivative, j)
-        size = max(np.linalg.norm(derivative), np.linalg.norm(difference))
+        size = max(np.linalg.norm(derivative), np.linalg.norm(difference), differences.trifle(j))
         size = size if size > 0 else 1.0
         cotangents = [np.zeros(np.shape(d)) for d in derivatives]
         cotangents[j] = rng.normal(size=derivative.shape)
@@ -267,6 +270,11 @@ class _Differences:
         if central is not None and not _differ(known):
             return central
         return min(known, key=lambda side: np.linalg.norm(side[1] - derivative))
+
+    def trifle(self, j: int) -> float:
+        """Return the change of output j that is as good as none: rounding makes up as much."""
+        values = self._at(0.0)
+        return 0.0 if values is None else NOTHING * float(np.linalg.norm(values[j]))
 
     def _at(self, h: float):
         """Return the outputs after a step h, or None where no tight solve was to be had."""

@@ -75,7 +75,7 @@ def test_declared_quadratic_costs_expand_like_undeclared_ones():
     for cost in (declared, plain):
         prob = jc.Problem(problem().plant, cost, num_steps=6, dt=0.1)
         models.append(jc.expand(prob, prob.rollout(x0, us), us))
-    for one, two in zip(*models, strict=True):
+    for one, two in zip(*map(jax.tree.leaves, models), strict=True):
         np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-14)
 
 

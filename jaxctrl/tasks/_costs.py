@@ -58,14 +58,14 @@ class HandTarget(AbstractEnd):
     Li (2006), eq. 3.20 (with v* = 0) and 3.22.
 
     Arguments:
-        position: e* [m], shape (2,).
-        velocity: v* [m/s], shape (2,) or scalar.
+        position: e* [m], shape (dim,).
+        velocity: v* [m/s], shape (dim,) or scalar.
         position_weight: w1 [1/m^2]. velocity_weight: w2 [s^2/m^2].
     """
 
-    position: Float[Array, "2"] = eqx.field(converter=array_leaf, metadata=fits((2,)))
+    position: Float[Array, "2"] = eqx.field(converter=array_leaf, metadata=fits(("dim",)))
     velocity: Float[Array, "..."] = eqx.field(
-        converter=array_leaf, metadata=fits((), (2,)), default=0.0
+        converter=array_leaf, metadata=fits((), ("dim",)), default=0.0
     )
     position_weight: Float[Array, ""] = eqx.field(
         converter=array_leaf, metadata=WEIGHT, default=1.0
@@ -143,10 +143,10 @@ class Obstacle(AbstractRate):
     starts outside stays outside, at the grid points. Several discs are several costs, added.
 
     Arguments:
-        centre: e_ob [m], shape (2,). radius: r_ob [m]. weight: k1 [m^2/s].
+        centre: e_ob [m], shape (dim,). radius: r_ob [m]. weight: k1 [m^2/s].
     """
 
-    centre: Float[Array, "2"] = eqx.field(converter=array_leaf, metadata=fits((2,)))
+    centre: Float[Array, "2"] = eqx.field(converter=array_leaf, metadata=fits(("dim",)))
     radius: Float[Array, ""] = eqx.field(converter=array_leaf, metadata=WEIGHT)
     weight: Float[Array, ""] = eqx.field(converter=array_leaf, metadata=WEIGHT, default=1e-8)
     of: ClassVar[str] = "hand"
@@ -191,7 +191,7 @@ class HandPath(AbstractRate, AbstractEnd):
         weight: w [1/(m^2 s)]. terminal_weight: w_T [1/m^2].
     """
 
-    points: Float[Array, "m 2"] = eqx.field(converter=array_leaf, metadata=fits(("m", 2)))
+    points: Float[Array, "m 2"] = eqx.field(converter=array_leaf, metadata=fits(("m", "dim")))
     weight: Float[Array, ""] = eqx.field(converter=array_leaf, metadata=WEIGHT, default=1.0)
     terminal_weight: Float[Array, ""] = eqx.field(
         converter=array_leaf, metadata=WEIGHT, default=0.0
@@ -224,11 +224,11 @@ class ViaPoints(AbstractEvents):
     """Cost w sum_i |e(t_i) - e_i|^2 of passing points at times (Li 2006, eq. 3.23).
 
     Arguments:
-        points: e_i [m], shape (m, 2). times: t_i [s], shape (m,).
+        points: e_i [m], shape (m, dim). times: t_i [s], shape (m,).
         weight: w [1/m^2], scalar or shape (m,).
     """
 
-    points: Float[Array, "m 2"] = eqx.field(converter=array_leaf, metadata=fits(("m", 2)))
+    points: Float[Array, "m 2"] = eqx.field(converter=array_leaf, metadata=fits(("m", "dim")))
     times: Float[Array, " m"] = eqx.field(converter=array_leaf, metadata=fits(("m",)))
     weight: Float[Array, "..."] = eqx.field(
         converter=array_leaf, metadata=fits((), ("m",), least=0.0), default=1.0

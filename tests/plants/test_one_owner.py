@@ -72,7 +72,8 @@ def anew(name, build, plant, path, value):
     """Build the plant with one number changed, through its constructor's arguments."""
     first = path[0].name
     if name in PARTS or isinstance(path[-1], jax.tree_util.SequenceKey):
-        return build(**{first: getattr(edited(plant, path, value), first)})
+        argument = "arm" if name == "RateControlled" else first
+        return build(**{argument: getattr(edited(plant, path, value), first)})
     return build(**{path[-1].name.removeprefix("given_"): value})
 
 

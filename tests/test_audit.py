@@ -11,8 +11,12 @@ import jaxctrl as jc
 RATE, DT, T, X0 = 2.0, 0.05, 420, np.array([0.5])
 
 
+def linear(x, u, t, p):
+    return p * x + u
+
+
 def unstable(num_steps=T, rate=RATE, **weights):
-    plant = jc.FunctionPlant(lambda x, u, t, p: p * x + u, nx=1, nu=1, params=rate)
+    plant = jc.FunctionPlant(linear, nx=1, nu=1, params=rate)
     cost = jc.QuadraticCost(**({"Q": 1.0, "R": 0.5} | weights))
     return jc.Problem(plant, cost, num_steps=num_steps, dt=DT)
 

@@ -13,11 +13,12 @@ import jaxctrl as jc
 T = 40
 
 
+def pendulum(x, u, t):
+    return jnp.stack([x[1], 9 * jnp.sin(x[0]) + u[0]])
+
+
 def balance(num_steps=T):
-    """An inverted pendulum, without a class, so that it compiles fast."""
-    plant = jc.FunctionPlant(
-        lambda x, u, t: jnp.stack([x[1], 9 * jnp.sin(x[0]) + u[0]]), nx=2, nu=1
-    )
+    plant = jc.FunctionPlant(pendulum, nx=2, nu=1)
     return jc.Problem(plant, jc.QuadraticCost(Q=1.0, R=0.1), num_steps=num_steps, dt=0.05)
 
 
@@ -91,8 +92,8 @@ def test_batches_start_from_one_policy_or_from_one_each(solution):
     np.testing.assert_allclose(shared.us, [one.us for one in each], rtol=1e-9, atol=1e-9)
     own = jc.solve_batch(balance(), jc.ILQR(), starts, shared.policy)
     assert own.status.ok.all() and (own.num_steps == 0).all()
-    mapped = jax.vmap(lambda x, policy: jc.solve(balance(), jc.ILQR(), x, us=policy).cost)
-    np.testing.assert_allclose(mapped(starts, shared.policy), own.cost, rtol=1e-9)
+    one = jax.vmap(lambda x, policy: jc.solve(balance(), jc.ILQR(), x, us=policy).cost)
+    np.testing.assert_allclose(one(starts, shared.policy), own.cost, rtol=1e-9)
     with pytest.raises(ValueError, match="the same B in each"):
         jc.solve_batch(balance(), jc.ILQR(), starts[:2], shared.policy)
 

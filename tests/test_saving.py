@@ -16,8 +16,12 @@ from jaxctrl import _files
 X0 = np.array([1.0, 0.0])
 
 
+def pendulum(x, u, t):
+    return jnp.stack([x[1], u[0] - jnp.sin(x[0])])
+
+
 def problem(**arguments):
-    plant = jc.FunctionPlant(lambda x, u, t: jnp.stack([x[1], u[0] - jnp.sin(x[0])]), nx=2, nu=1)
+    plant = jc.FunctionPlant(pendulum, nx=2, nu=1)
     return jc.Problem(plant, jc.QuadraticCost(Q=1.0, R=0.1), num_steps=20, dt=0.05, **arguments)
 
 
@@ -28,7 +32,7 @@ def solutions():
         "free": jc.solve(problem(), jc.ILQR(), X0),
         "bounded": jc.solve(bounded, jc.ILQR(), X0),
         "batch": jc.solve_batch(bounded, jc.ILQR(), np.array([X0, 2 * X0, -X0])),
-        "stopped": jc.solve(problem(), jc.ILQR(), 3 * X0, max_steps=0),
+        "stopped": jc.solve(problem(), jc.ILQR(), 1e200 * X0),
     }
 
 

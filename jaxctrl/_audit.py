@@ -13,6 +13,10 @@ from ._solution import Solution
 from ._types import promote
 
 
+COARSE = 0.1
+"""The error of integrating a step, over the range of the state, that is named as a reason."""
+
+
 class Audit(eqx.Module):
     """What a solution costs, along its own states and run again; printed, a table with reasons.
 
@@ -23,6 +27,8 @@ class Audit(eqx.Module):
         rollout_cost: that of its controls alone, run so, their last digits changed too.
         defects: how far each step of the plant leads past the next state, max_i |x_i - f_i| over
             the range max_k |x_i| of that state, shape (T,).
+        integration: how far each step, cut into four, would lead elsewhere, over the range of each
+            state, shape (T,); 0 for a discrete plant.
         growth: the standard deviation that the state gathers in open loop, over its range, when
             each step adds one of 1: what rounding errors are multiplied by.
 
@@ -34,6 +40,7 @@ class Audit(eqx.Module):
     policy_cost: Float[Array, ""]
     rollout_cost: Float[Array, ""]
     defects: Float[Array, " T"]
+    integration: Float[Array, " T"]
     growth: Float[Array, ""]
 
     @property
@@ -61,6 +68,7 @@ class Audit(eqx.Module):
             ("cost of its policy, last digits changed", f"{self.policy_cost:.9g}"),
             ("cost of its controls alone, so changed", f"{self.rollout_cost:.9g}"),
             ("largest defect of a step, of the state's range", f"{defects.max():.2g}"),
+            ("largest error of integrating a step, so too", f"{np.max(self.integration):.2g}"),
             ("growth of rounding errors in open loop", f"{self.growth:.2g}"),
         ]
         width = max(len(name) for name, _ in rows) + 2
@@ -80,6 +88,13 @@ def _reasons(audit: Audit) -> list[str]:
         found.append(
             f"step {worst} does not lead to its next state: another plant, integrator or noise, or "
             "a solve that failed"
+        )
+    if audit.integration.max() > COARSE:
+        worst = int(np.argmax(audit.integration))
+        found.append(
+            f"step {worst} is too long to be integrated: cut into four it leads elsewhere, by "
+            f"{audit.integration[worst]:.1g} of the state's range, and an optimum may live off such "
+            "errors; shorten dt, or take a better integrator"
         )
     if audit.sound and not audit.reproducible:
         same = bool(_agree(audit.cost, audit.policy_cost))
@@ -128,6 +143,20 @@ def audit(problem: Problem, solution: Solution) -> Audit:
     return _audit(problem, solution)
 
 
+def _in_quarters(problem: Problem, xs: Array, us: Array) -> Array:
+    """Return each next state (T, nx) when each step is integrated in four."""
+    if problem.plant.discrete:
+        return problem.replay(xs, us)
+    dt = problem.dt / 4
+
+    def four(x, u, t):
+        for i in range(4):
+            x = problem.integrator(problem.plant, x, u, t + i * dt, dt)
+        return x
+
+    return jax.vmap(four)(xs[:-1], us, problem.ts[:-1])
+
+
 @eqx.filter_jit
 def _audit(problem: Problem, solution: Solution) -> Audit:
     xs, us = solution.xs, solution.us
@@ -145,11 +174,13 @@ def _audit(problem: Problem, solution: Solution) -> Audit:
     x0, controls = xs[0] * nudge, us * nudge
     known = jnp.isfinite(slopes).all()
     overflown = known & ~jnp.isfinite(variances).all()
+    after = problem.replay(xs, us)
     return Audit(
         reported=solution.nominal_cost,
         cost=problem.total_cost(xs, us),
         policy_cost=simulate(problem, solution.policy, x0).cost,
         rollout_cost=problem.total_cost(problem.rollout(x0, controls), controls),
-        defects=(jnp.abs(problem.replay(xs, us) - xs[1:]) / scale).max(1),
+        defects=(jnp.abs(after - xs[1:]) / scale).max(1),
+        integration=(jnp.abs(after - _in_quarters(problem, xs, us)) / scale).max(1),
         growth=jnp.where(overflown, jnp.inf, jnp.sqrt(variances.max())),
     )

@@ -19,7 +19,7 @@ from ._jit import jit
 from ._problem import Problem, check_us, check_x0
 from ._simulate import simulate
 from ._solution import Solution, SolveError, last_finite
-from ._solver import AbstractDirectSolver, AbstractSolver, Record
+from ._solver import AbstractDirectSolver, AbstractSolver, Found, Record
 from ._status import Reason, Status
 from ._terms import At, check, parts
 from ._types import promote
@@ -252,6 +252,8 @@ def run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: i
     side = known_sides(frozen, found.us, found.side)
     xs, us, cost = attach((xs, found.us, record.cost), problem, x0, side, status.ok)
     K = attach_gains(found.K, problem, xs, us, side, status.ok, solver)
+    feedback = status.ok & _feedback_needed(frozen, found, record.cost)
+    status = Status(status.code, status.index, feedback)
     return Solution(
         xs=xs,
         us=us,
@@ -295,6 +297,21 @@ def _iterate(problem, solver, x0, us, max_steps):
     state, history, count = jax.lax.while_loop(unfinished, body, (state, padded, jnp.array(0)))
     # The first pass only measures the start.
     return state, history, jnp.maximum(count - 1, 0)
+
+
+def _feedback_needed(problem: Problem, found: Found, cost: Array) -> Array:
+    """Tell whether controls, their last digits changed, lead to other states and costs; shape ().
+
+    To first order the cost of an optimum does not change at all; to be sure, states and costs both
+    differ by more than sqrt(eps).
+    """
+    eps = float(jnp.finfo(cost.dtype).eps)
+    us = found.us * (1 + eps)
+    xs = problem.rollout(found.xs[0], us)
+    again = problem.total_cost(xs, us)
+    moved = jnp.abs(xs - found.xs).max(0) > eps**0.5 * jnp.abs(found.xs).max(0)
+    dearer = ~(jnp.abs(again - cost) <= eps**0.5 * jnp.maximum(jnp.abs(cost), jnp.abs(again)))
+    return (moved.any() | ~jnp.isfinite(xs).all()) & dearer
 
 
 def _final_status(solver, state) -> Status:

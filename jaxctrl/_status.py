@@ -3,10 +3,10 @@
 import enum
 
 import equinox as eqx
-import jax.core
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Int
+from jaxtyping import Array, ArrayLike, Bool, Int
 
 
 class Reason(enum.IntEnum):
@@ -98,14 +98,26 @@ _MESSAGES = {
 }
 
 
-class Status(eqx.Module):
-    """A reason, and the step of the trajectory that it concerns (-1 where it concerns none).
+_FEEDBACK_NEEDED = (
+    "the plant is unstable: its controls alone, run again, do not cost the same, since rounding "
+    "errors grow; run the policy (jc.audit tells more)"
+)
 
-    Both are integer arrays, batched under vmap like everything else.
+
+class Status(eqx.Module):
+    """A reason, the step of the trajectory that it concerns, and whether feedback is needed.
+
+    Attributes:
+        code: the reason's number. index: the step, -1 where it concerns none.
+        feedback_needed: whether the controls alone, their last digits changed, do not cost the
+            same within sqrt(eps), though the solve converged; None where nobody has looked.
+
+    All are arrays, batched under vmap like everything else.
     """
 
     code: Int[Array, " *batch"]
     index: Int[Array, " *batch"]
+    feedback_needed: Bool[Array, " *batch"] | None = None
 
     @classmethod
     def of(cls, reason: Reason, index: ArrayLike = -1) -> "Status":
@@ -127,8 +139,10 @@ class Status(eqx.Module):
         if isinstance(self.code, jax.core.Tracer):
             return "unknown while tracing"
         codes, indices = np.asarray(self.code), np.asarray(self.index)
+        feedback = np.asarray(False if self.feedback_needed is None else self.feedback_needed)
         if codes.ndim == 0:
-            return Reason(int(codes)).message.format(index=int(indices))
+            message = Reason(int(codes)).message.format(index=int(indices))
+            return f"{message}. But {_FEEDBACK_NEEDED}" if feedback else message
         lines = []
         for code, count in zip(*np.unique(codes, return_counts=True), strict=True):
             where = sorted({int(i) for i in indices[codes == code]})
@@ -136,6 +150,8 @@ class Status(eqx.Module):
             lines.append(
                 f"{count} of {codes.size} " + Reason(int(code)).message.format(index=shown)
             )
+        if feedback.any():
+            lines.append(f"{feedback.sum()} of {codes.size}: {_FEEDBACK_NEEDED}")
         return "\n".join(lines)
 
     @property
@@ -151,9 +167,7 @@ class Status(eqx.Module):
 
 def where(condition: Array, yes: Status, no: Status) -> Status:
     """Choose between two statuses, element by element."""
-    return Status(
-        jnp.where(condition, yes.code, no.code), jnp.where(condition, yes.index, no.index)
-    )
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
 
 
 def first_nonfinite(values: Array) -> Int[Array, ""]:

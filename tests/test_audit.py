@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import jaxctrl as jc
 
@@ -32,7 +33,8 @@ def by_hand(xs, us):
 
 def test_an_unstable_plant_is_named_as_the_reason(long):
     """Growth e^40: along its own states all is well, and the controls alone lead elsewhere."""
-    assert long.status.ok
+    assert long.status.ok and long.status.feedback_needed
+    assert "run the policy" in long.status.message and "run the policy" in str(long)
     audit = jc.audit(unstable(), long)
     np.testing.assert_allclose(audit.cost, by_hand(long.xs, long.us), rtol=1e-12)
     np.testing.assert_allclose(audit.reported, audit.cost, rtol=1e-10)
@@ -49,16 +51,18 @@ def test_an_unstable_plant_is_named_as_the_reason(long):
     text = str(audit)
     assert text.startswith("Audit of a solution: sound")
     assert "rounding errors grow 5e+17 times; its policy does: run that" in text
-    assert text.count("\n") == 7
+    assert text.count("\n") == 8
 
 
 def test_a_short_horizon_is_reproduced_and_gives_no_reason():
     short = unstable(num_steps=20)
-    audit = jc.audit(short, jc.solve(short, jc.ILQR(), X0))
+    solution = jc.solve(short, jc.ILQR(), X0)
+    assert not solution.status.feedback_needed and "policy" not in solution.status.message
+    audit = jc.audit(short, solution)
     assert audit.sound and audit.reproducible
     np.testing.assert_allclose(audit.rollout_cost, audit.cost, rtol=1e-12)
     assert audit.defects.shape == (20,) and audit.defects.max() < 1e-15
-    assert str(audit).count("\n") == 6
+    assert str(audit).count("\n") == 7
 
 
 def test_another_cost_and_another_plant_are_told_apart(long):
@@ -107,6 +111,9 @@ def test_audits_go_through_vmap_and_float32(float32):
     solutions = jc.solve_batch(short, jc.ILQR(), starts)
     audits = jax.vmap(lambda s: jc.audit(short, s))(solutions)
     assert audits.sound.shape == (2,) and audits.sound.all() and audits.reproducible.all()
+    assert not solutions.status.feedback_needed.any()
+    both = jc.solve_batch(unstable(200), jc.ILQR(), starts).status
+    assert both.message.splitlines()[-1].startswith("2 of 2: the plant is unstable")
     failed = jc.audit(unstable(520), jc.solve(unstable(520), jc.ILQR(), X0))
     assert not failed.sound and "its cost is not finite: a solve that failed" in str(failed)
 
@@ -118,3 +125,37 @@ def test_an_overflow_is_infinite_and_misfits_are_named(long):
         jc.audit(unstable(num_steps=20), long)
     with pytest.raises(TypeError, match=r"problem, solution: .* got a Problem and a AffinePolicy"):
         jc.audit(unstable(), long.policy)
+
+
+def reactor(num_steps):
+    """The stirred-tank reactor of Luus (2000), whose optima cost 0.13309 and 0.24443."""
+
+    def dynamics(x, u, t):
+        reaction = (x[1] + 0.5) * jnp.exp(25 * x[0] / (x[0] + 2))
+        return jnp.stack([reaction - (2 + u[0]) * (x[0] + 0.25), 0.5 - x[1] - reaction])
+
+    cost = jc.FunctionCost(running=lambda x, u, t: x @ x + 0.1 * u @ u)
+    plant = jc.FunctionPlant(dynamics, nx=2, nu=1)
+    T = num_steps
+    return jc.Problem(plant, cost, num_steps=T, dt=0.78 / T, integrator=jc.RK4())
+
+
+def test_a_reactor_in_steps_too_long_lives_off_the_integrator():
+    x0 = jnp.array([0.09, 0.09])
+    fine, coarse = reactor(80), reactor(40)
+    for start, best in ((0.0, 0.24443), (2.0, 0.13309)):
+        solution = jc.solve(fine, jc.DDP(), x0, jnp.full((80, 1), start))
+        assert solution.status.ok and solution.num_steps <= 30
+        np.testing.assert_allclose(solution.cost, best, rtol=5e-3)
+        assert "too long" not in str(jc.audit(fine, solution))
+    found = jc.solve(coarse, jc.DDP(), x0, max_steps=60)
+    assert found.cost < 0.1  # below the least cost that there is
+    audit = jc.audit(coarse, found)
+    worst = int(audit.integration.argmax())
+    assert f"step {worst} is too long to be integrated" in str(audit)
+    by_scipy = solve_ivp(
+        lambda t, x: np.asarray(coarse.plant(jnp.asarray(x), found.us[worst], t)),
+        (0, 0.78 / 40), np.asarray(found.xs[worst]), rtol=1e-8,
+    ).y[:, -1]  # fmt: skip
+    off = np.abs(by_scipy - np.asarray(found.xs[worst + 1])) / np.abs(found.xs).max(0)
+    assert off.max() > 0.1

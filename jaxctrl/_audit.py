@@ -12,7 +12,6 @@ from ._simulate import simulate
 from ._solution import Solution
 from ._types import promote
 
-
 COARSE = 0.1
 """The error of integrating a step, over the range of the state, that is named as a reason."""
 
@@ -93,8 +92,8 @@ def _reasons(audit: Audit) -> list[str]:
         worst = int(np.argmax(audit.integration))
         found.append(
             f"step {worst} is too long to be integrated: cut into four it leads elsewhere, by "
-            f"{audit.integration[worst]:.1g} of the state's range, and an optimum may live off such "
-            "errors; shorten dt, or take a better integrator"
+            f"{audit.integration[worst]:.1g} of the state's range, and an optimum may live off "
+            "such errors; shorten dt, or take a better integrator"
         )
     if audit.sound and not audit.reproducible:
         same = bool(_agree(audit.cost, audit.policy_cost))

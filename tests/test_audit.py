@@ -111,7 +111,7 @@ def test_audits_go_through_vmap_and_float32(float32):
     solutions = jc.solve_batch(short, jc.ILQR(), starts)
     audits = jax.vmap(lambda s: jc.audit(short, s))(solutions)
     assert audits.sound.shape == (2,) and audits.sound.all() and audits.reproducible.all()
-    assert not solutions.status.feedback_needed.any()
+    assert not np.any(solutions.status.feedback_needed)
     both = jc.solve_batch(unstable(200), jc.ILQR(), starts).status
     assert both.message.splitlines()[-1].startswith("2 of 2: the plant is unstable")
     failed = jc.audit(unstable(520), jc.solve(unstable(520), jc.ILQR(), X0))

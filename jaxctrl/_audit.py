@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ._checks import is_concrete
+from ._jit import jit
 from ._problem import Problem
 from ._simulate import simulate
 from ._solution import Solution
@@ -156,7 +157,7 @@ def _in_quarters(problem: Problem, xs: Array, us: Array) -> Array:
     return jax.vmap(four)(xs[:-1], us, problem.ts[:-1])
 
 
-@eqx.filter_jit
+@jit
 def _audit(problem: Problem, solution: Solution) -> Audit:
     xs, us = solution.xs, solution.us
     size = jnp.abs(xs).max(0)

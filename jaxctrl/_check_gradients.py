@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from ._jit import jit
 from ._problem import Problem, check_us, check_x0
 from ._simulate import simulate
 from ._solution import SolveError
@@ -187,19 +188,19 @@ class _Solves(eqx.Module):
         aside = whole["x0"] + ASIDE * (1 + jnp.max(jnp.abs(solution.xs), axis=0))
         return solution.policy.K, simulate(whole["problem"], solution.policy, aside).xs
 
-    @eqx.filter_jit
+    @jit
     def forward(self, inputs, tangents):
         """Return the directional derivatives of the outputs."""
         solve = lambda inputs: self._outputs(inputs, self.solver, self.start)[0]  # noqa: E731
         return jax.jvp(solve, (inputs,), (tangents,))[1]
 
-    @eqx.filter_jit
+    @jit
     def backward(self, inputs, cotangents):
         """Return the inputs' cotangents."""
         solve = lambda inputs: self._outputs(inputs, self.solver, self.start)[0]  # noqa: E731
         return jax.vjp(solve, inputs)[1](cotangents)[0]
 
-    @eqx.filter_jit
+    @jit
     def moved(self, inputs, tangents, h):
         """Return the outputs after a step h along the tangents, and how well they were found."""
         there = jax.tree.map(lambda leaf, tangent: leaf + h * tangent, inputs, tangents)

@@ -32,16 +32,16 @@ def jit(function: Callable) -> Callable:
     own code. Here NaN is an answer: it fills the history, and statuses tell of any other.
     """
 
-    def traced(seen, *args):
-        return function(*args)
+    def traced(seen, *args, **kwargs):
+        return function(*args, **kwargs)
 
     traced.__name__ = function.__name__
     compiled = eqx.filter_jit(traced)
 
     @functools.wraps(function)
-    def call(*args):
+    def call(*args, **kwargs):
         with own_rules():
-            return compiled(_Seen(read_classes(args)), *args)
+            return compiled(_Seen(read_classes((args, kwargs))), *args, **kwargs)
 
     call._cached = compiled._cached  # pyright: ignore[reportAttributeAccessIssue, reportFunctionMemberAccess]
     return call

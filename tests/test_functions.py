@@ -332,13 +332,19 @@ class Sliding(jc.AbstractPlant):
 
 def test_a_global_that_a_class_of_the_users_names_is_seen_by_the_next_solve(monkeypatch):
     problem = jc.Problem(Sliding(), jc.QuadraticCost(Q=1.0, R=0.1), **STEPS)
-    costs, ends = [], []
+    costs, ends, slopes, defects, first = [], [], [], [], None
     for value in (2.0, 0.5, 2.0):
         monkeypatch.setitem(globals(), "gain", value)
-        costs.append(float(jc.solve(problem, jc.ILQR(), X0).cost))
+        solution = jc.solve(problem, jc.ILQR(), X0)
+        costs.append(float(solution.cost))
+        first = first or solution
+        slopes.append(jc.expand(problem, first.xs, first.us).fx[0, 1, 0])
+        defects.append(float(jc.audit(problem, first).defects.max()))
         ends.append(jc.simulate(problem, jc.OpenLoop(jnp.zeros((8, 1))), X0).xs[-1, 1])
     assert costs[0] == costs[2] and abs(costs[0] - costs[1]) > 1e-2
     assert ends[0] == ends[2] and abs(ends[0] - ends[1]) > 1e-2
+    assert slopes[0] == slopes[2] and abs(slopes[0] - slopes[1]) > 1e-2
+    assert max(defects[0], defects[2]) < 1e-14 and defects[1] > 1e-2
 
 
 def test_a_traced_number_out_of_sight_is_refused():

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from .. import analysis, plot
 from .._checks import is_concrete
+from .._jit import jit
 from .._problem import Problem
 from .._solution import Solution
 from .._solve import solve
@@ -206,7 +207,7 @@ def _names(models: Sequence[AbstractModel]) -> tuple[str, ...]:
     )
 
 
-@eqx.filter_jit
+@jit
 def hand_motion(problem: Problem, xs) -> tuple[jax.Array, jax.Array]:
     """Return positions [m] and velocities [m/s] of the hand, each (T+1, 2), for xs (T+1, nx)."""
     plant = problem.plant

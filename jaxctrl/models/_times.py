@@ -11,6 +11,7 @@ import scipy.optimize
 from jaxtyping import Array, ArrayLike
 
 from .._checks import is_concrete
+from .._jit import jit
 from .._problem import Problem, check_us, check_x0
 from .._solution import Solution
 from .._solve import solve
@@ -225,7 +226,7 @@ class _Search:
         )
 
 
-@eqx.filter_jit
+@jit
 def _value(leaves, problem, solver, x0, us, price):
     """Return ((J + price T, solution), derivatives by T and the passing times)."""
 

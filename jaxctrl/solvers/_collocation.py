@@ -14,11 +14,11 @@ beside 1.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 from scipy.integrate import solve_bvp
 
+from .._jit import jit
 from .._status import Reason
 from ._hamiltonian import Hamiltonian
 
@@ -202,22 +202,22 @@ def _padded(function, hamiltonian: Hamiltonian, s: np.ndarray, ys: np.ndarray):
     return jax.tree.map(take, out)
 
 
-@eqx.filter_jit
+@jit
 def _rates(hamiltonian: Hamiltonian, ts, ys):
     return jax.vmap(hamiltonian.rates)(ts, ys)
 
 
-@eqx.filter_jit
+@jit
 def _rate_slopes(hamiltonian: Hamiltonian, ts, ys):
     return jax.vmap(jax.jacfwd(hamiltonian.rates, argnums=1))(ts, ys)
 
 
-@eqx.filter_jit
+@jit
 def _minimisers(hamiltonian: Hamiltonian, ts, ys):
     nx = ys.shape[1] // 2
     return jax.vmap(hamiltonian.minimiser)(ys[:, :nx], ys[:, nx:], ts)
 
 
-@eqx.filter_jit
+@jit
 def _final_terms(hamiltonian: Hamiltonian, x):
     return hamiltonian.final_slope(x), jax.jacfwd(hamiltonian.final_slope)(x)

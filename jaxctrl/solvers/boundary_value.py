@@ -11,6 +11,7 @@ from jaxtyping import Array
 from .. import _status
 from .._checks import check_integer, is_concrete
 from .._controller import AffinePolicy, clip
+from .._jit import jit
 from .._linalg import matmul
 from .._local_model import expand
 from .._problem import Problem
@@ -160,7 +161,7 @@ class _Guess(NamedTuple):
     status: Status
 
 
-@eqx.filter_jit
+@jit
 def _guess(problem: Problem, x0: Array, us: Array) -> _Guess:
     """Roll the starting controls out, and follow the costates back."""
     xs = problem.rollout(x0, us)
@@ -206,7 +207,7 @@ def _on_grid(problem: Problem, x0: Array, path: Path, price: Array):
     return *best, fine, float(_continuous_cost(problem, *along))
 
 
-@eqx.filter_jit
+@jit
 def _continuous_cost(problem: Problem, s: Array, xs: Array, us: Array) -> Array:
     """Return the cost of a path, by the trapezoidal rule over its nodes s (n,), shape ()."""
     t = s * problem.duration
@@ -214,7 +215,7 @@ def _continuous_cost(problem: Problem, s: Array, xs: Array, us: Array) -> Array:
     return jnp.sum(0.5 * (rates[1:] + rates[:-1]) * jnp.diff(t)) + problem.end(xs[-1])
 
 
-@eqx.filter_jit
+@jit
 def _best(problem: Problem, x0: Array, xs: Array, choices: Array) -> tuple[Array, Array]:
     """Return the cheapest roll-out (T+1, nx), (T, nu) of controls (n, T, nu) along states xs."""
     bounds = problem.bounds
@@ -237,7 +238,7 @@ def _inside(us: Array, bounds) -> Array:
     return jnp.ones(us.shape, bool) if bounds is None else (us > bounds[0]) & (us < bounds[1])
 
 
-@eqx.filter_jit
+@jit
 def _solution(problem: Problem, xs: Array, us: Array, status: Status, rounds: int) -> Solution:
     """Return a trajectory of the grid as a solution, with its gradient and gains there."""
     bounds = problem.bounds

@@ -21,11 +21,11 @@ lint: .venv/installed
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 test: lint
-	JAX_COMPILATION_CACHE_DIR=$(CACHE)/jax JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.5 \
-		$(BIN)/pytest -n $(WORKERS) --dist loadfile -m 'not slow'
+	JAX_COMPILATION_CACHE_DIR=$(CACHE)/jax JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.1 \
+		$(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 test-all: lint  ## Also the long reproductions, all of it as XLA compiles by default.
-	XLA_FLAGS= $(BIN)/pytest -n $(WORKERS) --dist loadfile
+	XLA_FLAGS= $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 bench: .venv/installed
 	$(BIN)/jaxctrl bench

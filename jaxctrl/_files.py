@@ -110,7 +110,7 @@ def _pack(value: Any, name: str, arrays: dict[str, np.ndarray]) -> Any:
         packed = {key: _pack(getattr(value, key), f"{name}.{key}", arrays) for key in names}
         return {"class": type(value).__name__, "fields": packed}
     array = np.asarray(value)
-    if array.dtype.kind not in "fiu":
+    if array.dtype.kind not in "fiub":
         raise TypeError(f"value{name}: numbers that NumPy knows are wanted, got {value!r}")
     arrays[name[1:]] = array
     return name[1:]

@@ -91,8 +91,6 @@ def solve_factorised(
         ahead = Vx + matmul(Vxx, c)
         rhs = b + matmul(fu.T, ahead)
         k = held - matmul(inverse, jnp.where(free, rhs + matmul(Quu, held), 0.0))
-        # Refined once: of a stiff chain, what the inverse rounds off is what the transpose misses.
-        k = k - matmul(inverse, jnp.where(free, rhs + matmul(Quu, k), 0.0))
         before = lx + matmul(fx.T, ahead) + matmul(Qux.T, k)
         return before + matmul(K.T, rhs + matmul(Quu, k)), k
 

@@ -321,7 +321,7 @@ def test_float32_reaches_the_float64_cost(solver, float32):
     solution = jc.solve(swing(), solver, jnp.array([2.5, 0.0], jnp.float32))
     assert solution.us.dtype == jnp.float32
     # Whether its search or its gradient ends it is for rounding to choose: compilers differ.
-    lost = solution.status.is_(jc.Reason.LINE_SEARCH_FAILED) & (solution.gradient < 0.03)
+    lost = solution.status.is_(jc.Reason.LINE_SEARCH_FAILED) & (solution.gradient < 0.1)
     assert solution.status.ok | lost, str(solution)
     with jax.enable_x64(True):
         wanted = jc.solve(swing(), jc.ILQR(), jnp.array([2.5, 0.0])).cost

@@ -25,10 +25,11 @@ jax.config.update("jax_enable_x64", True)
 gc.set_threshold(100_000, 20, 50)
 
 MAPS = Path("/proc/self/maps")
-LONGEST = (
-    "test_experiments test_properties test_gains test_adjoint test_gradient test_notebooks "
-    "test_user_plants test_boundary_value test_times test_readme test_identification"
-).split()
+LONGEST = [
+    *("test_experiments", "test_properties", "test_gains", "test_adjoint", "test_gradient"),
+    *("test_notebooks", "test_user_plants", "test_boundary_value", "test_times", "test_readme"),
+    "test_identification",
+]
 
 
 def pytest_collection_modifyitems(items):

@@ -146,11 +146,9 @@ def _sweep(box: Box, sweeps: Engine, iterate: _Iterate, inside: Bool[Array, ""])
 def _following(box: Box, step: Held, side: Array) -> Array:
     """Hold what left the box, and release what its multiplier pushes inwards."""
     lower, upper, dus = box.lower, box.upper, step.dus
-    # What is in the box and pushed nowhere keeps its place.
     eps = jnp.finfo(dus.dtype).eps
     scale = jnp.maximum(jnp.abs(lower), jnp.abs(upper))
     room = 10 * eps * jnp.where(jnp.isfinite(scale), scale, 0.0)
-    noise = 100 * eps * step.curvature * jnp.maximum(jnp.abs(dus).max(), room)
     left = jnp.where(dus < lower - room, -1.0, jnp.where(dus > upper + room, 1.0, 0.0))
-    stays = ((side < 0) & (step.slope > -noise)) | ((side > 0) & (step.slope < noise))
+    stays = ((side < 0) & (step.slope > 0)) | ((side > 0) & (step.slope < 0))
     return jnp.where(side == 0, left, side * stays)

@@ -13,7 +13,7 @@ import pytest
 from problems import PROBLEMS
 
 import jaxctrl as jc
-from jaxctrl import _cpu as cpu
+from jaxctrl import _batch as batch, _cpu as cpu
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +30,50 @@ def test_lanes_equal_those_of_vmap(pendulum, chunk):
     np.testing.assert_array_equal(got.status.code, wanted.status.code)
     np.testing.assert_allclose(got.us, wanted.us, atol=1e-9)
     np.testing.assert_allclose(got.cost, wanted.cost, rtol=1e-12)
+
+
+class SmallGPU:
+    """A device that says what memory it has, and is out of it with more than two lanes."""
+
+    platform = "gpu"
+
+    def __init__(self, lanes):
+        self.lanes, self.tried = lanes, []
+
+    def memory_stats(self):
+        return {"bytes_limit": 2 * self.lanes * 10 * 100 * 3**2 * 8}
+
+    def side_by_side(self, message):
+        """Return what stands for the mapped solve: it fails as XLA does, or solves."""
+
+        def run(job, chunk):
+            self.tried.append(chunk)
+            if chunk > 2:
+                raise jax.errors.JaxRuntimeError(message)
+            return batch._one_by_one(job)
+
+        return run
+
+
+def test_a_device_out_of_memory_takes_half_the_lanes_until_they_fit(pendulum, monkeypatch):
+    problem, x0, uss, wanted = pendulum
+    device = SmallGPU(lanes=5)
+    monkeypatch.setattr(jax, "devices", lambda: [device])
+    full = "RESOURCE_EXHAUSTED: Out of memory while trying to allocate 7 bytes"
+    monkeypatch.setattr(batch, "_side_by_side", device.side_by_side(full))
+    assert problem.num_steps == 100
+    with pytest.warns(UserWarning, match="out of memory; now 2 lanes at once"):
+        got = jc.solve_batch(problem, jc.ILQR(), x0, uss)
+    assert device.tried == [5, 2]
+    np.testing.assert_allclose(got.cost, wanted.cost, rtol=1e-12)
+    jc.solve_batch(problem, jc.ILQR(), x0, uss, chunk=1)
+    device.lanes = 2  # so many are expected to fit
+    jc.solve_batch(problem, jc.ILQR(), x0, uss)
+    assert device.tried[2:] == [1, 2]
+    monkeypatch.setattr(batch, "_side_by_side", device.side_by_side("INTERNAL: a bug"))
+    with pytest.raises(jax.errors.JaxRuntimeError, match="a bug"):
+        jc.solve_batch(problem, jc.ILQR(), x0, uss, chunk=4)
+    assert device.tried[4:] == [4]
 
 
 def test_starts_and_problems_may_lead_the_batch(pendulum):

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ._checks import is_concrete
+from ._checks import check_again, is_concrete
 from ._controller import AbstractController, AffinePolicy, OpenLoop
 from ._jit import jit
 from ._noise import AbstractNoise
@@ -70,7 +70,8 @@ def simulate(
             controller is handed the problem as it is.
         pulses: perturbations from outside.
 
-    Returns: `Trajectory`; its costs are the problem's, for the plant that really moved.
+    Returns: `Trajectory`; its costs are the problem's, for the plant that really moved. NaN where
+    a traced time step is not above zero.
 
     Raises: ValueError or TypeError, naming the argument, when one does not fit the problem or is
     not finite where that can be known, when `noise` is given without a key, and when the
@@ -79,6 +80,7 @@ def simulate(
     if not isinstance(problem, Problem):
         raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
     problem.check_single()
+    check_again((problem, controller, plant, noise, pulses))
     x0 = check_x0(problem, x0)
     belief = x0 if belief is None else check_x0(problem, belief, "belief")
     _check_controller(controller, problem)
@@ -173,6 +175,8 @@ def _run(problem: Problem, controller, plant, noise, pulses, x0, belief, key) ->
             after = after + scale * F @ xi
         return (after, memory), (after, u, y)
 
+    # A time step that was traced until now may be what no eager check could refuse.
+    x0 = jnp.where(problem.dt > 0, x0, jnp.nan)
     carry = (x0, controller.init(problem, belief, start_key))
     inputs = (jnp.arange(T), problem.ts[:-1], keys, pulses)
     _, (xs, us, ys) = jax.lax.scan(body, carry, inputs)

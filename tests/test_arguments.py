@@ -144,6 +144,8 @@ def test_a_time_step_put_in_later_is_checked_again():
         edited = eqx.tree_at(lambda p: p.dt, problem(), jnp.asarray(dt))
         with pytest.raises(ValueError, match=r"^dt: a positive time step is wanted"):
             jc.solve(edited, jc.ILQR(), X0)
+        with pytest.raises(ValueError, match=r"^dt: a positive time step is wanted"):
+            jc.simulate(edited, jc.OpenLoop(jnp.zeros((5, 1))), X0)
     crossed = (jnp.ones(1), -jnp.ones(1))
     edited = eqx.tree_at(lambda p: p.control_bounds, problem(control_bounds=(-1, 1)), crossed)
     with pytest.raises(ValueError, match=r"^control_bounds: lower <= upper is wanted"):
@@ -160,6 +162,8 @@ def test_a_traced_time_step_that_is_not_positive_is_a_status_with_no_gradient():
     names = [jc.Reason(int(code)).name for code in codes]
     assert names[:2] == ["INVALID_TIME_STEP"] * 2 and names[3] == "NONFINITE_INPUT"
     np.testing.assert_array_equal(jnp.isnan(slopes), [True, True, False, True])
+    run = lambda dt: jc.simulate(problem(dt=dt), jc.OpenLoop(jnp.zeros((5, 1))), X0).cost  # noqa: E731
+    np.testing.assert_array_equal(jnp.isnan(jax.vmap(run)(lanes)), [True, True, False, True])
 
 
 @pytest.mark.parametrize(

@@ -128,6 +128,21 @@ def check_weights(**weights: ArrayLike) -> None:
             raise ValueError(f"{name}: at least 0 is wanted, got {value}")
 
 
+_MARK = "_jaxctrl_checked"
+
+
+def is_checked(module: eqx.Module) -> bool:
+    """Tell whether this very object was found right before; whatever is edited is another one."""
+    return _MARK in vars(module)
+
+
+def mark_checked(module: eqx.Module) -> None:
+    """Remember that an object was found right, where nothing in it can change."""
+    leaves = jax.tree.leaves(module)
+    if all(isinstance(leaf, jax.Array) for leaf in leaves) and is_concrete(*leaves):
+        object.__setattr__(module, _MARK, True)
+
+
 def check_again(tree: Any) -> None:
     """Make every Equinox module within a pytree check itself again, as after `tree_at`."""
     modules = []

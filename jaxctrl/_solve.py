@@ -12,7 +12,14 @@ from jaxtyping import Array, ArrayLike
 
 from . import _status
 from ._adjoint import attach, attach_gains, known_sides
-from ._checks import check_again, check_instance, check_integer, is_concrete
+from ._checks import (
+    check_again,
+    check_instance,
+    check_integer,
+    is_checked,
+    is_concrete,
+    mark_checked,
+)
 from ._controller import AffinePolicy
 from ._function import closed, describe
 from ._jit import jit
@@ -67,12 +74,17 @@ def solve(
     )
     max_steps = check_max_steps(max_steps)
     problem.check_single()
-    check_again(problem)
+    fresh = not is_checked(problem)
+    if fresh:
+        check_again(problem)
     start = check_x0(problem, x0)
     controls = roll(problem, us, start) if isinstance(us, AffinePolicy) else check_us(problem, us)
+    given = problem
     problem, start, controls = promote((closed(problem), start, controls))
-    _check_finite(problem)
-    check(problem.cost, problem.plant)
+    if fresh:
+        _check_finite(problem)
+        check(problem.cost, problem.plant)
+        mark_checked(given)
     for part in parts(problem.cost):
         if (check_start := getattr(part, "check_start", None)) is not None:
             check_start(problem.plant, start)

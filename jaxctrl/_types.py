@@ -105,7 +105,8 @@ class LocalModel(NamedTuple):
     l + lx' dx + lu' du + (dx' lxx dx + 2 du' lux dx + du' luu du) / 2, and at the end
     vx' dx + dx' vxx dx / 2. Every array but vx and vxx leads with time. The cost's blocks hold
     the time step already; for an exact second-order expansion they hold the costates contracted
-    with the second derivatives of the dynamics too. Without `noise` nothing is computed for it.
+    with the second derivatives of the dynamics too. Of lxx, luu and vxx only the symmetric parts
+    count. Without `noise` nothing is computed for it.
     """
 
     fx: Float[Array, "T nx nx"]

@@ -13,11 +13,15 @@ from ._riccati import Held, Sweep, last_true, nonfinite
 
 
 class _Iterate(NamedTuple):
-    """The last sweep, the sides that it held and those to be held next, and an interior point."""
+    """The last sweep, the sides that it held and those to be held next, and an interior point.
+
+    `inner` are the sides that the interior point is at, NaN where it has not ended.
+    """
 
     last: Held
     side: Float[Array, "T nu"]
     following: Float[Array, "T nu"]
+    inner: Float[Array, "T nu"]
     settled: Bool[Array, ""]
     count: Int[Array, ""]
     interior: InteriorPoint
@@ -55,8 +59,9 @@ def box_lqr(
         engine: how to sweep, as in `lqr`.
 
     Returns: `Sweep`, whose law keeps du in the box on the model and whose gains are zero for held
-    controls, and the held set, as `side`, NaN where the sets cycled. `settled` is False where
-    neither method ended.
+    controls, and the held set, as `side`. Where the sets cycled, the controls are the interior
+    point's, and the gains and the set are those of the bounds that it is at; where neither method
+    ended, `settled` is False and `side` NaN.
 
     Raises ValueError for a model with noise.
     """
@@ -73,13 +78,17 @@ def box_lqr(
     first = jax.lax.cond(
         unknown.any(), lambda: jnp.where(unknown, _pushed(box, sweeps), given), lambda: given
     )
+    first = jnp.where(box.movable | (first != 0), first, -1.0)
 
+    # One more than twice the limit: if the sets cycle again, the gains are those of the last one.
     def unsettled(iterate: _Iterate):
-        return ~iterate.settled & iterate.last.ok.all() & (iterate.count < 2 * max_sweeps)
+        return ~iterate.settled & iterate.last.ok.all() & (iterate.count <= 2 * max_sweeps)
 
     def body(iterate: _Iterate):
         inside = (iterate.count == max_sweeps) & ~iterate.interior.done
-        return _sweep(box, sweeps, iterate, inside)
+        last = (iterate.count == 2 * max_sweeps) & iterate.interior.settled
+        following = jnp.where(last, iterate.inner, iterate.following)
+        return _sweep(box, sweeps, iterate._replace(following=following), inside)
 
     end = jax.lax.while_loop(unsettled, body, _start(box, first))
     last, point = end.last, end.interior
@@ -93,7 +102,7 @@ def box_lqr(
         k, last.K, last.gradient, last.curvature - box.damping, linear, change - linear,
         last.ok.all(), last_true(~last.ok), nonfinite(model, last.finite), settled,
     )  # fmt: skip
-    return sweep, jnp.where(end.settled, end.side, jnp.nan)
+    return sweep, jnp.where(settled, end.side, jnp.nan)
 
 
 def _start(box: Box, side: Array) -> _Iterate:
@@ -102,7 +111,8 @@ def _start(box: Box, side: Array) -> _Iterate:
     K = jnp.zeros((*side.shape, box.model.vx.size), side.dtype)
     last = Held(dxs, none, none, K, none, none, every, every)
     interior = begin(box, none, jnp.zeros((), side.dtype))
-    return _Iterate(last, side, side, jnp.array(False), jnp.array(0), interior)
+    unknown = jnp.full_like(side, jnp.nan)
+    return _Iterate(last, side, side, unknown, jnp.array(False), jnp.array(0), interior)
 
 
 def _pushed(box: Box, sweeps: Engine) -> Array:
@@ -130,17 +140,19 @@ def _sweep(box: Box, sweeps: Engine, iterate: _Iterate, inside: Bool[Array, ""])
 
     def approach():
         further = advance(box, point, step, weight, extra)
-        ended = jnp.where(further.settled, held(further, step.curvature - weight), side)
-        return further, iterate.side, ended, jnp.array(False)
+        inner = jnp.where(box.movable, held(further, step.curvature - weight), -1.0)
+        ended = jnp.where(further.settled, inner, side)
+        return further, iterate.side, ended, inner, jnp.array(False)
 
     def judge():
         following = _following(box, step, side)
-        return point, side, following, (following == side).all()
+        settled = ((following == side) | ~box.movable).all()
+        return point, jnp.where(box.movable, side, following), following, iterate.inner, settled
 
-    point, side, following, settled = jax.lax.cond(inside, approach, judge)
+    point, side, following, inner, settled = jax.lax.cond(inside, approach, judge)
     # A step inside that fails does not end the search over sets.
     step = step._replace(ok=step.ok | inside)
-    return _Iterate(step, side, following, settled, iterate.count + ~inside, point)
+    return _Iterate(step, side, following, inner, settled, iterate.count + ~inside, point)
 
 
 def _following(box: Box, step: Held, side: Array) -> Array:
@@ -151,4 +163,6 @@ def _following(box: Box, step: Held, side: Array) -> Array:
     room = 10 * eps * jnp.where(jnp.isfinite(scale), scale, 0.0)
     left = jnp.where(dus < lower - room, -1.0, jnp.where(dus > upper + room, 1.0, 0.0))
     stays = ((side < 0) & (step.slope > 0)) | ((side > 0) & (step.slope < 0))
-    return jnp.where(side == 0, left, side * stays)
+    # What has no room is never released, whatever side its multiplier pushes to.
+    fixed = jnp.where(step.slope < 0, 1.0, -1.0)
+    return jnp.where(box.movable, jnp.where(side == 0, left, side * stays), fixed)

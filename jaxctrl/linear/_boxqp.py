@@ -94,9 +94,12 @@ def check_bounds(lower: ArrayLike, upper: ArrayLike) -> None:
         return
     low, high = np.asarray(lower), np.asarray(upper)
     if (low > high).any():
-        i = int(np.argmax(low > high))
+        low, high = np.broadcast_arrays(low, high)
+        i = tuple(int(n) for n in np.argwhere(low > high)[0])
+        at = i[0] if len(i) == 1 else i
         raise ValueError(
-            f"lower <= upper is wanted, got {low[i]} > {high[i]} at index {i}; were they exchanged?"
+            f"lower <= upper is wanted, got {low[i]} > {high[i]} at index {at}; were they "
+            "exchanged?"
         )
 
 

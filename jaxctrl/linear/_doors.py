@@ -1,22 +1,40 @@
 """The kernels as users call them: compiled; what is inside a loop calls the plain ones."""
 
 import functools
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import ArrayLike, Float
 
-from .._types import LocalModel
+from .._types import LocalModel, array_leaf
 from . import _box_lqr, _boxqp, _factorised, _riccati
 from ._boxqp import BoxQP
 from ._engine import find_engine
 from ._riccati import Sweep
 
-box_lqr = eqx.filter_jit(_box_lqr.box_lqr)
+
+def _symmetric(model: LocalModel) -> LocalModel:
+    """Return the model with symmetric blocks, which costs the same: x'Ax = x'A'x."""
+    lxx, luu, vxx = (0.5 * (A + A.mT) for A in (model.lxx, model.luu, model.vxx))
+    return model._replace(lxx=lxx, luu=luu, vxx=vxx)
+
+
+def _compiled(kernel: Callable) -> Callable:
+    """Return a kernel of a model as users call it."""
+
+    @functools.wraps(kernel)
+    def call(model, *args, **kwargs):
+        return kernel(_symmetric(model), *args, **kwargs)
+
+    return eqx.filter_jit(call)
+
+
+_box_lqr_door = _compiled(_box_lqr.box_lqr)
 _box_qp = eqx.filter_jit(_boxqp.box_qp)
 costates = eqx.filter_jit(_riccati.costates)
-evaluate = eqx.filter_jit(_riccati.evaluate)
-factorise = eqx.filter_jit(_factorised.factorise)
+evaluate = _compiled(_riccati.evaluate)
+factorise = _compiled(_factorised.factorise)
 solve_factorised = eqx.filter_jit(_factorised.solve_factorised)
 lqr_rollout = eqx.filter_jit(_factorised.lqr_rollout)
 
@@ -48,10 +66,17 @@ def lqr(
 
 @eqx.filter_jit
 def _lqr(model: LocalModel, damping, engine: str) -> Sweep:
-    return find_engine(engine).lqr(model, damping)
+    return find_engine(engine).lqr(_symmetric(model), damping)
+
+
+@functools.wraps(_box_lqr.box_lqr)
+def box_lqr(model, lower, upper, *args, **kwargs):
+    _boxqp.check_bounds(lower, upper)  # behind jit they are traced
+    return _box_lqr_door(model, lower, upper, *args, **kwargs)
 
 
 @functools.wraps(_boxqp.box_qp)
 def box_qp(H, g, lower, upper, *, max_steps: int = 1000) -> BoxQP:
-    _boxqp.check_bounds(lower, upper)  # behind jit they are traced
-    return _box_qp(H, g, lower, upper, max_steps=max_steps)
+    _boxqp.check_bounds(lower, upper)
+    H = array_leaf(H, "H")
+    return _box_qp(0.5 * (H + H.mT), array_leaf(g, "g"), lower, upper, max_steps=max_steps)

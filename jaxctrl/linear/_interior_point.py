@@ -48,8 +48,9 @@ class InteriorPoint(NamedTuple):
     """A point with its slacks and multipliers, and how far the method has got.
 
     States dxs (T+1, nx), controls dus and the model's gradient there, (T, nu); slacks, 1 where
-    there is no bound, and multipliers, 0 there, (T, nu). `length` is that of the last step, `done`
-    tells whether there is to be no other, `settled` whether this is the minimiser.
+    there is no bound, and multipliers, 0 there, (T, nu). `length` is that of the last step, `error`
+    the duality gap and the residuals, `done` tells whether there is to be no other step, `settled`
+    whether this is the minimiser.
     """
 
     dxs: Float[Array, "T+1 nx"]
@@ -60,6 +61,7 @@ class InteriorPoint(NamedTuple):
     lower_multiplier: Float[Array, "T nu"]
     upper_multiplier: Float[Array, "T nu"]
     length: Float[Array, ""]
+    error: Float[Array, ""]
     done: Bool[Array, ""]
     settled: Bool[Array, ""]
     count: Int[Array, ""]
@@ -86,6 +88,7 @@ def begin(box: Box, gradient: Float[Array, "T nu"], scale: Float[Array, ""]) -> 
         lower_multiplier=jnp.where(has_lower, jnp.maximum(gradient, 0.0) + typical, 0.0),
         upper_multiplier=jnp.where(has_upper, jnp.maximum(-gradient, 0.0) + typical, 0.0),
         length=jnp.full((), 0.5, gradient.dtype),
+        error=jnp.full((), jnp.inf, gradient.dtype),
         done=jnp.array(False),
         settled=jnp.array(False),
         count=jnp.array(0),
@@ -122,8 +125,9 @@ def advance(
 
     Arguments: where it starts, its end, and what `barrier` added there, each (T, nu).
 
-    Ends when the duality gap and the residuals are below eps^0.4 of the reduction of the model's
-    cost, when the step failed, and after `MAX_STEPS`.
+    Settled when the duality gap and the residuals are below eps^0.4 of the reduction of the model's
+    cost. Goes on until they fall no more, which tells surer which controls are at bounds; ends also
+    when a step failed, and after `MAX_STEPS`.
     """
     sL, sU, zL, zU = point[3:7]
     centre, off_lower, off_upper = _targets(box, point)
@@ -147,10 +151,12 @@ def advance(
     gap = jnp.sum(zL * (sL + jnp.abs(off_lower)) + zU * (sU + jnp.abs(off_upper)))
     residual = jnp.sum(jnp.abs((slope - zL + zU) * dus) * box.movable)
     change = 0.5 * jnp.sum((step.gradient + slope) * dus)
-    settled = good & (gap + residual <= jnp.finfo(d.dtype).eps ** 0.4 * jnp.abs(change))
-    count = point.count + 1
-    done = settled | ~good | (count >= MAX_STEPS)
-    return InteriorPoint(dxs, dus, slope, sL, sU, zL, zU, length, done, settled, count)
+    error, count = gap + residual, point.count + 1
+    settled = good & (error <= jnp.finfo(d.dtype).eps ** 0.4 * jnp.abs(change))
+    ends = point.settled & ~(good & settled & (error < point.error))
+    done = ends | ~good | (count >= MAX_STEPS)
+    new = InteriorPoint(dxs, dus, slope, sL, sU, zL, zU, length, error, done, settled, count)
+    return select(ends, point._replace(done=jnp.array(True), count=count), new)
 
 
 def held(point: InteriorPoint, curvature: Float[Array, "T nu"]) -> Float[Array, "T nu"]:

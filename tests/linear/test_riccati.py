@@ -381,3 +381,63 @@ def test_derivatives_of_a_positive_solve_are_those_of_the_inverse():
         got = mode(lambda A: solve_positive(0.5 * (A + A.T), B)[0])(A)
         wanted = mode(lambda A: jnp.linalg.solve(0.5 * (A + A.T), B))(A)
         np.testing.assert_allclose(got, wanted, rtol=1e-9, atol=1e-11)
+
+
+def unstable_model(seed, T=25):
+    """An unstable plant, growing by a quarter a step, and tight bounds, some without room."""
+    rng = np.random.default_rng(seed)
+    n = rng.standard_normal
+    root, end = n((T, 6, 6)), n((4, 4))
+    lzz = root @ root.transpose(0, 2, 1) / 6
+    luu = lzz[:, 4:, 4:] + 1e-3 * np.eye(2)
+    dynamics = 1.25 * np.eye(4) + 0.1 * n((T, 4, 4)), 0.3 * n((T, 4, 2))
+    blocks = n((T, 4)), n((T, 2)), lzz[:, :4, :4], lzz[:, 4:, :4], luu, n(4), end @ end.T
+    low, high = rng.random((2, T, 2))
+    bounds = -0.03 * low * (low > 0.2), 0.03 * high * (high > 0.2)
+    return LocalModel(*map(jnp.asarray, (*dynamics, *blocks))), *map(jnp.asarray, bounds)
+
+
+@pytest.mark.parametrize("max_sweeps", [12, 1])
+@pytest.mark.parametrize("seed", [0, 4, 8, 12])
+def test_gains_are_those_of_the_bounds_that_the_controls_are_at(seed, max_sweeps):
+    """Where sets cycle, as they did for controls without room, too; with one sweep they all do."""
+    model, lower, upper = unstable_model(seed)
+    sweep, side = box_lqr(model, lower, upper, max_sweeps=max_sweeps)
+    assert sweep.ok and sweep.settled and not jnp.isnan(side).any()
+    assert (lower == upper).sum() > 0 and (side != 0).sum() > 20
+    held = held_lqr(model, side == 0, jnp.where(side < 0, lower, upper), 0 * lower)
+    np.testing.assert_allclose(sweep.K, held.K, atol=1e-9 * float(jnp.abs(held.K).max()))
+    assert (sweep.K[side != 0] == 0).all()
+    dus = lqr_rollout(model, sweep.k, sweep.K, jnp.zeros(4))[1]
+    H, g, _ = dense(model, jnp.zeros(4))
+    slope = (g + H @ np.asarray(dus).ravel()).reshape(lower.shape)
+    if max_sweeps == 12:  # exact: the conditions of the minimum on the dense problem
+        assert ((dus >= lower - 1e-12) & (dus <= upper + 1e-12)).all()
+        size = 1e-9 * np.abs(slope).max()
+        assert (np.abs(slope[side == 0]) <= size).all() and (slope * side <= size).all()
+    else:  # an interior point's
+        exact = box_lqr(model, lower, upper)[0]
+        wanted = lqr_rollout(model, exact.k, exact.K, jnp.zeros(4))[1]
+        np.testing.assert_allclose(dus, wanted, atol=5e-3 * float(jnp.abs(dus).max()))
+
+
+def test_only_the_symmetric_part_of_a_block_counts():
+    model = random_model(5)
+    rng = np.random.default_rng(5)
+
+    def skewed(block):
+        A = jnp.asarray(rng.normal(size=block.shape))
+        return block + A - A.mT
+
+    skew = model._replace(lxx=skewed(model.lxx), luu=skewed(model.luu), vxx=skewed(model.vxx))
+    room = 0.3 * jnp.ones(model.lu.shape)
+    for solve in (
+        lqr,
+        lambda m: lqr(m, engine="parallel"),
+        lambda m: box_lqr(m, -room, room)[0],
+    ):
+        wanted, got = solve(model), solve(skew)
+        np.testing.assert_allclose(got.K, wanted.K, atol=1e-11)
+        np.testing.assert_allclose(got.k, wanted.k, atol=1e-11)
+    with pytest.raises(ValueError, match=r"lower <= upper is wanted, got 0.3 > -0.3 at index \(0"):
+        box_lqr(model, room, -room)

@@ -25,6 +25,9 @@ class Audit(eqx.Module):
         cost: the problem's cost of its states and controls, as they are.
         policy_cost: that of its policy, run from its first state, whose last digit is changed.
         rollout_cost: that of its controls alone, run so, their last digits changed too.
+        policy_drift, drift: how far the states of these two runs are from the solution's own, over
+            the range of each state.
+        excess: how far the controls are outside the problem's bounds, over the largest control.
         defects: how far each step of the plant leads past the next state, max_i |x_i - f_i| over
             the range max_k |x_i| of that state, shape (T,).
         integration: how far each step, cut into four, would lead elsewhere, over the range of each
@@ -39,6 +42,9 @@ class Audit(eqx.Module):
     cost: Float[Array, ""]
     policy_cost: Float[Array, ""]
     rollout_cost: Float[Array, ""]
+    policy_drift: Float[Array, ""]
+    drift: Float[Array, ""]
+    excess: Float[Array, ""]
     defects: Float[Array, " T"]
     integration: Float[Array, " T"]
     growth: Float[Array, ""]
@@ -47,16 +53,26 @@ class Audit(eqx.Module):
     def sound(self) -> Array:
         """Whether the states are a trajectory of the plant and cost what was reported.
 
-        Costs agree to sqrt(eps), relatively, defects are below eps^(3/4) of a state's range; shape
-        () or the batch's.
+        Costs agree to sqrt(eps), relatively, defects are below eps^(3/4) of a state's range, and
+        the controls are within the problem's bounds; shape () or the batch's.
         """
-        defect = self.defects.max(-1)
+        defect = jnp.maximum(self.defects.max(-1), self.excess)
         return (defect <= _eps(defect) ** 0.75) & _agree(self.cost, self.reported)
 
     @property
     def reproducible(self) -> Array:
-        """Whether it is sound and its controls alone cost the same; shape () or the batch's."""
-        return self.sound & _agree(self.cost, self.rollout_cost)
+        """Whether it is sound and its controls alone lead the same way; shape () or the batch's.
+
+        That is, they cost the same, or lead to the same states, both to sqrt(eps), relatively.
+        """
+        same = self.drift <= _eps(self.drift) ** 0.5
+        return self.sound & (_agree(self.cost, self.rollout_cost) | same)
+
+    @property
+    def controlled(self) -> Array:
+        """Whether it is sound and its policy, run again, leads the same way; shape () or batch."""
+        same = self.policy_drift <= _eps(self.drift) ** 0.5
+        return self.sound & (_agree(self.cost, self.policy_cost) | same)
 
     def __str__(self) -> str:
         if not is_concrete(self.cost) or self.cost.ndim:
@@ -89,6 +105,8 @@ def _reasons(audit: Audit) -> list[str]:
             f"step {worst} does not lead to its next state: another plant, integrator or noise, or "
             "a solve that failed"
         )
+    if not audit.excess <= _eps(audit.cost) ** 0.75:
+        found.append("its controls are outside the problem's bounds: other bounds")
     if audit.integration.max() > COARSE:
         worst = int(np.argmax(audit.integration))
         found.append(
@@ -97,11 +115,15 @@ def _reasons(audit: Audit) -> list[str]:
             "such errors; shorten dt, or take a better integrator"
         )
     if audit.sound and not audit.reproducible:
-        same = bool(_agree(audit.cost, audit.policy_cost))
-        remedy = "its policy does: run that" if same else "nor does its policy"
+        remedy = "its policy does: run that" if audit.controlled else "nor does its policy"
         found.append(
             "its controls alone do not lead along its states: the plant is unstable, and rounding "
             f"errors grow {audit.growth:.1g} times; {remedy}"
+        )
+    elif audit.sound and not audit.controlled:
+        found.append(
+            "its policy does not lead along its states, though its controls do: the policy of "
+            "another solution"
         )
     return found
 
@@ -143,9 +165,18 @@ def audit(problem: Problem, solution: Solution) -> Audit:
     return _audit(problem, solution)
 
 
+def _excess(problem: Problem, us: Array) -> Array:
+    """Return how far controls (T, nu) are outside their bounds, over the largest; shape ()."""
+    if problem.bounds is None:
+        return jnp.zeros((), us.dtype)
+    size = jnp.abs(us).max()
+    outside = jnp.maximum(problem.bounds[0] - us, us - problem.bounds[1]).max()
+    return jnp.maximum(outside, 0.0) / jnp.where(size > 0, size, 1.0)
+
+
 def _in_quarters(problem: Problem, xs: Array, us: Array) -> Array:
     """Return each next state (T, nx) when each step is integrated in four."""
-    if problem.plant.discrete:
+    if problem.plant.discrete or not problem.integrator.holds:
         return problem.replay(xs, us)
     dt = problem.dt / 4
 
@@ -175,11 +206,15 @@ def _audit(problem: Problem, solution: Solution) -> Audit:
     known = jnp.isfinite(slopes).all()
     overflown = known & ~jnp.isfinite(variances).all()
     after = problem.replay(xs, us)
+    by_policy, alone = simulate(problem, solution.policy, x0), problem.rollout(x0, controls)
     return Audit(
         reported=solution.nominal_cost,
         cost=problem.total_cost(xs, us),
-        policy_cost=simulate(problem, solution.policy, x0).cost,
-        rollout_cost=problem.total_cost(problem.rollout(x0, controls), controls),
+        policy_cost=by_policy.cost,
+        rollout_cost=problem.total_cost(alone, controls),
+        policy_drift=(jnp.abs(by_policy.xs - xs) / scale).max(),
+        drift=(jnp.abs(alone - xs) / scale).max(),
+        excess=_excess(problem, us),
         defects=(jnp.abs(after - xs[1:]) / scale).max(1),
         integration=(jnp.abs(after - _in_quarters(problem, xs, us)) / scale).max(1),
         growth=jnp.where(overflown, jnp.inf, jnp.sqrt(variances.max())),

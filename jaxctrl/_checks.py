@@ -1,5 +1,7 @@
 """What every public function asks of its arguments, wherever their values can be known."""
 
+import dataclasses
+import functools
 import operator
 from collections.abc import Callable
 from typing import Any
@@ -141,6 +143,45 @@ def mark_checked(module: eqx.Module) -> None:
     leaves = jax.tree.leaves(module)
     if all(isinstance(leaf, jax.Array) for leaf in leaves) and is_concrete(*leaves):
         object.__setattr__(module, _MARK, True)
+
+
+def converted(tree: Any) -> Any:
+    """Return a pytree in which fields that are arrays, or have a converter, hold arrays again.
+
+    What `tree_at` puts there stays as it is: a Python number would be a constant, with which each
+    new value compiles anew, and which has no gradient.
+    """
+    if not any(map(_is_number, jax.tree.leaves(tree))):
+        return tree
+
+    def visit(node: Any) -> Any:
+        return _converted_module(node, visit) if isinstance(node, eqx.Module) else node
+
+    return jax.tree.map(visit, tree, is_leaf=lambda node: isinstance(node, eqx.Module))
+
+
+def _converted_module(module: eqx.Module, visit: Callable) -> eqx.Module:
+    fields = {field.name: field for field in dataclasses.fields(module)}  # pyright: ignore[reportArgumentType]
+    values = dict(vars(module))
+    for name, field in fields.items():
+        static = name not in values or field.metadata.get("static", False)
+        if static or not any(map(_is_number, jax.tree.leaves(values[name]))):
+            continue
+        new = jax.tree.map(visit, values[name], is_leaf=lambda v: isinstance(v, eqx.Module))
+        if any(map(_is_number, jax.tree.leaves(new))):
+            of_array = field.type is jax.Array or hasattr(field.type, "array_type")
+            named = functools.partial(array_leaf, name=name) if of_array else None
+            convert = field.metadata.get("converter", named)
+            new = new if convert is None else convert(new)
+        values[name] = new
+    copy = object.__new__(type(module))
+    for name, value in values.items():
+        object.__setattr__(copy, name, value)
+    return copy
+
+
+def _is_number(leaf: Any) -> bool:
+    return isinstance(leaf, float | int | str | np.ndarray | np.generic)
 
 
 def check_again(tree: Any) -> None:

@@ -29,7 +29,7 @@ class FunctionCost(AbstractCost):
     _running: Callable | None
     _terminal: Callable | None
     _event: Callable | None
-    params: Any
+    params: Any = eqx.field(converter=as_params)
     event_times: Float[Array, " m"]
 
     def __init__(

@@ -37,7 +37,7 @@ class FunctionPlant(AbstractPlant):
     dynamics: Callable
     nx: int = eqx.field(static=True)
     nu: int = eqx.field(static=True)
-    params: Any
+    params: Any = eqx.field(converter=as_params)
     discrete: bool = eqx.field(static=True)
     control_bounds: Bounds | None
     nominal_control: Float[Array, " nu"]

@@ -1,7 +1,7 @@
 """One time step of a plant: explicit Euler, Runge-Kutta, or the plant's own next state."""
 
 import abc
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
@@ -10,7 +10,14 @@ from ._plant import AbstractPlant
 
 
 class AbstractIntegrator(eqx.Module):
-    """A rule that takes a plant one step further with the control held."""
+    """A rule that takes a plant one step further.
+
+    Attributes:
+        holds: whether the control is held over the step, True by default: two half steps under the
+            same control are then a finer rule for the same step.
+    """
+
+    holds: ClassVar[bool] = True
 
     @abc.abstractmethod
     def __call__(
@@ -21,7 +28,7 @@ class AbstractIntegrator(eqx.Module):
         t: ArrayLike,
         dt: ArrayLike,
     ) -> Float[Array, " nx"]:
-        """Return the state (nx,) at time t + dt [s] from x (nx,) at t, with u (nu,) held."""
+        """Return the state (nx,) at time t + dt [s] from x (nx,) at t, with u (nu,)."""
 
 
 class Euler(AbstractIntegrator):

@@ -9,13 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ._checks import check_again, is_concrete
+from ._checks import check_again, converted, is_concrete
 from ._controller import AbstractController, AffinePolicy, OpenLoop
+from ._function import closed
 from ._jit import jit
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant
 from ._problem import Problem, check_x0
 from ._pulses import Pulses, Pushed
+from ._terms import check
 from ._types import promote
 
 
@@ -79,8 +81,11 @@ def simulate(
     """
     if not isinstance(problem, Problem):
         raise TypeError(f"problem: a jc.Problem is wanted, got {problem!r}")
+    problem, controller, plant, noise, pulses = given = converted(
+        (problem, controller, plant, noise, pulses)
+    )
+    check_again(given)
     problem.check_single()
-    check_again((problem, controller, plant, noise, pulses))
     x0 = check_x0(problem, x0)
     belief = x0 if belief is None else check_x0(problem, belief, "belief")
     _check_controller(controller, problem)
@@ -97,6 +102,8 @@ def simulate(
     if not isinstance(pulses, Pulses):
         raise TypeError(f"pulses: jc.Pulses are wanted, got {pulses!r}")
     pulses.check(mover, problem.num_steps)
+    check(problem.cost, problem.plant)
+    problem, controller, mover, noise = closed((problem, controller, mover, noise))
     problem, controller, mover, noise, pulses, x0, belief = promote(
         (problem, controller, mover, noise, pulses, x0, belief)
     )

@@ -16,6 +16,7 @@ from ._checks import (
     check_again,
     check_instance,
     check_integer,
+    converted,
     is_checked,
     is_concrete,
     mark_checked,
@@ -73,10 +74,11 @@ def solve(
         "solver", solver, AbstractSolver | AbstractDirectSolver, "a solver is wanted, jc.ILQR()"
     )
     max_steps = check_max_steps(max_steps)
-    problem.check_single()
     fresh = not is_checked(problem)
     if fresh:
+        problem = converted(problem)
         check_again(problem)
+    problem.check_single()
     start = check_x0(problem, x0)
     controls = roll(problem, us, start) if isinstance(us, AffinePolicy) else check_us(problem, us)
     given = problem

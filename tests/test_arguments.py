@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxctrl as jc
+from jaxctrl import _solve
 
 X0 = jnp.array([1.0, 0.0])
 
@@ -179,3 +180,28 @@ def test_a_traced_time_step_that_is_not_positive_is_a_status_with_no_gradient():
 def test_durations_that_can_only_be_milliseconds_are_refused(task):
     with pytest.raises(ValueError, match=r"^duration: .*are these seconds, or milliseconds\?"):
         task(jc.plants.TorqueArm())
+
+
+def test_a_number_put_in_by_tree_at_is_an_array_again():
+    def springy(x, u, t, p):
+        return jnp.array([x[1], u[0] - p["k"] * x[0]])
+
+    def made(k):
+        cost = jc.QuadraticCost(Q=1.0, R=1.0)
+        plant = jc.FunctionPlant(springy, nx=2, nu=1, params={"k": k})
+        return jc.Problem(plant, cost, num_steps=5, dt=0.1)
+
+    task, number = made(1.0), lambda p: p.plant.params["k"]
+    jc.solve(task, jc.ILQR(), X0)
+    halved = made(0.5)
+    wanted = float(jc.solve(halved, jc.ILQR(), X0).cost)
+    size = _solve.run_iteration._cached._cache_size()
+    for value in (0.5, jnp.array(0.5), np.float64(0.5), np.array(0.5)):
+        edited = eqx.tree_at(number, task, value)
+        assert float(jc.solve(edited, jc.ILQR(), X0).cost) == wanted
+    assert _solve.run_iteration._cached._cache_size() == size
+    for where, name in ((number, "k"), (lambda p: p.dt, "dt")):
+        with pytest.raises(ValueError, match=name):
+            jc.solve(eqx.tree_at(where, task, np.nan), jc.ILQR(), X0)
+        with pytest.raises(TypeError, match="number.* is wanted, got 'a'"):
+            jc.solve(eqx.tree_at(where, task, "a"), jc.ILQR(), X0)

@@ -159,3 +159,35 @@ def test_a_reactor_in_steps_too_long_lives_off_the_integrator():
     ).y[:, -1]  # fmt: skip
     off = np.abs(by_scipy - np.asarray(found.xs[worst + 1])) / np.abs(found.xs).max(0)
     assert off.max() > 0.1
+
+
+def test_a_spoilt_policy_other_bounds_and_round_off_of_costs_are_told_apart():
+    short = unstable(num_steps=20)
+    solution = jc.solve(short, jc.ILQR(), X0)
+    spoilt = eqx.tree_at(lambda s: s.policy.us, solution, solution.policy.us + 0.1)
+    audit = jc.audit(short, spoilt)
+    assert audit.sound and audit.reproducible and not audit.controlled
+    assert "its policy does not lead along its states" in str(audit)
+    assert jc.audit(short, solution).controlled
+
+    plant = jc.FunctionPlant(linear, nx=1, nu=1, params=RATE)
+    tight = jc.Problem(plant, short.cost, num_steps=20, dt=DT, control_bounds=(-0.1, 0.1))
+    audit = jc.audit(tight, solution)
+    assert not audit.sound and "outside the problem's bounds" in str(audit)
+    largest = float(jnp.abs(solution.us).max())
+    np.testing.assert_allclose(audit.excess, (largest - 0.1) / largest, rtol=1e-12)
+
+    # To the goal in one step: what is left of the cost is rounding, and no sign of instability.
+    one = jc.FunctionPlant(lambda x, u, t: 0.7 * x + 0.3 * u, nx=1, nu=1, discrete=True)
+    exact = jc.Problem(one, jc.QuadraticCost(Qf=1.0, target=[0.3]), num_steps=1)
+    audit = jc.audit(exact, jc.solve(exact, jc.ILQR(), X0))
+    assert audit.cost < 1e-30 and audit.reproducible and "unstable" not in str(audit)
+
+
+def test_an_exact_step_is_not_too_long():
+    arm, model = jc.plants.TorqueArm(), jc.models.MinimumJerk()
+    task = jc.tasks.reach(arm, [0.0, 0.45], 0.5, num_steps=4)
+    smooth = model.problem(task)
+    solution = jc.solve(smooth, jc.ILQR(), model.start(task, np.array([0.6, 1.6, 0.0, 0.0])))
+    audit = jc.audit(smooth, solution)
+    assert audit.integration.max() == 0 and "too long" not in str(audit)

@@ -3,6 +3,7 @@
 import itertools
 import re
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -436,3 +437,31 @@ def test_what_is_no_problem_or_no_state_is_named(solution):
         jc.simulate(problem(), solution.policy, X0, belief=np.zeros(3))
     with pytest.raises(ValueError, match=r"belief: not finite"):
         jc.simulate(problem(), solution.policy, X0, belief=[np.nan, 0.0])
+
+
+GAIN = 1.0
+
+
+def law(y):
+    return -GAIN * y[:1]
+
+
+class Following(jc.AbstractController):
+    """A controller with a function of the user's, which names a global."""
+
+    law: Any
+
+    def init(self, problem, belief, key):
+        return ()
+
+    def step(self, memory, y, i, t, key):
+        return memory, self.law(y)
+
+
+def test_a_changed_global_is_seen_by_a_controllers_function_and_by_what_moves(monkeypatch):
+    plant = jc.FunctionPlant(lambda x, u, t: u - GAIN * x, nx=1, nu=1)
+    task = jc.Problem(plant, jc.QuadraticCost(Q=1.0), num_steps=3, dt=0.1)
+    for gain in (1.0, 3.0, jnp.array(2.0)):
+        monkeypatch.setitem(globals(), "GAIN", gain)
+        xs = jc.simulate(task, Following(law), jnp.ones(1)).xs
+        np.testing.assert_allclose(xs[:, 0], (1 - 0.2 * gain) ** np.arange(4), rtol=1e-12)

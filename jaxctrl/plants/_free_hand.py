@@ -1,5 +1,7 @@
 """A hand without an arm, moved by its jerk: the plant of purely kinematic models."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
@@ -75,6 +77,8 @@ def _check(x) -> None:
 
 class PolynomialJerk(AbstractIntegrator):
     """The exact step of a `FreeHand`, whose jerk is a polynomial of second degree within it."""
+
+    holds: ClassVar[bool] = False
 
     def __call__(self, plant, x, u, t, dt):
         """Return the state (6,) after a step, by integrating the jerk three times."""

@@ -110,8 +110,9 @@ class Status(eqx.Module):
 
     Attributes:
         code: the reason's number. index: the step, -1 where it concerns none.
-        feedback_needed: whether the controls alone, their last digits changed, do not cost the
-            same within sqrt(eps), though the solve converged; None where nobody has looked.
+        feedback_needed: whether the controls alone, their last digits changed, lead to other states
+            and another cost, both by more than sqrt(eps), though the solve converged; None where
+            nobody has looked.
 
     All are arrays, batched under vmap like everything else.
     """

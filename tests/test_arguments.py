@@ -203,5 +203,5 @@ def test_a_number_put_in_by_tree_at_is_an_array_again():
     for where, name in ((number, "k"), (lambda p: p.dt, "dt")):
         with pytest.raises(ValueError, match=name):
             jc.solve(eqx.tree_at(where, task, np.nan), jc.ILQR(), X0)
-        with pytest.raises(TypeError, match="number.* is wanted, got 'a'"):
+        with pytest.raises(TypeError, match=r"number.* is wanted, got 'a'"):
             jc.solve(eqx.tree_at(where, task, "a"), jc.ILQR(), X0)

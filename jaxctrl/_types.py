@@ -127,11 +127,11 @@ class LocalModel(NamedTuple):
 
 
 def promote(tree):
-    """Promote each floating array of a pytree to the widest dtype among them, none weakly typed."""
+    """Promote every floating array of a pytree to the widest dtype among them."""
     arrays = [leaf for leaf in jax.tree.leaves(tree) if eqx.is_inexact_array(leaf)]
     dtype = jnp.result_type(*arrays)
-    if all(array.dtype == dtype and not array.weak_type for array in arrays):
+    if all(array.dtype == dtype for array in arrays):
         return tree
     return jax.tree.map(
-        lambda leaf: jnp.asarray(leaf, dtype) if eqx.is_inexact_array(leaf) else leaf, tree
+        lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, tree
     )

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import check_array, check_integer, check_weights, is_concrete
+from .._checks import check_array, check_integer, check_radians, check_weights, is_concrete
 from .._cost import QuadraticCost
 from .._integrate import AbstractIntegrator
 from .._noise import SignalDependentNoise
@@ -143,11 +143,12 @@ def posture(
             it: `stop=False` gives the formula as printed.
         duration, num_steps, effort, motor_noise, integrator: as in `reach`.
 
-    Returns: `Problem`. Raises as `reach` does.
+    Returns: `Problem`. Raises as `reach` does, and ValueError for angles beyond two turns.
     """
     if not isinstance(plant, AbstractArm):
         raise TypeError(f"plant: one with joints is wanted, got {type(plant).__name__}")
     angles = check_array("angles", angles, (plant.num_joints,))
+    check_radians("angles", angles)
     cost = PostureTarget(angles, velocity_weight=1.0 if stop else 0.0)
     return _problem(plant, cost, duration, num_steps, effort, motor_noise, integrator)
 
@@ -319,8 +320,8 @@ def limit_joints(
             0 to 2.6.
         weight: w [1/(rad^2 s)]; 1 is our choice.
 
-    Returns: `Problem`. Raises TypeError for a plant without joints, ValueError for a wrong shape or
-    lower > upper.
+    Returns: `Problem`. Raises TypeError for a plant without joints, ValueError for a wrong shape,
+    lower > upper or limits beyond two turns, which can only be degrees.
     """
     check_weights(weight=weight)
     if not isinstance(problem.plant, AbstractArm):
@@ -329,6 +330,8 @@ def limit_joints(
         )
     limits = as_bounds((lower, upper), (problem.plant.num_joints,), "lower, upper")
     assert limits is not None
+    for name, limit in zip(("lower", "upper"), limits, strict=True):
+        check_radians(name, limit)
     if is_concrete(*limits) and not bool((limits[0] <= limits[1]).all()):
         raise ValueError(f"lower: at most upper is wanted, got {limits[0]} and {limits[1]}")
     # A limit that is never reached stands for none: `solve` refuses what is not finite.

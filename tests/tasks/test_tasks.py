@@ -210,6 +210,7 @@ def test_changing_a_task_does_not_compile_again(arm, x0):
             "num_steps: at least",
         ),
         (lambda arm: jc.tasks.posture(arm, [1.0]), ValueError, r"angles: got shape \(1,\)"),
+        (lambda arm: jc.tasks.posture(arm, [45.0, 90.0]), ValueError, r"^angles: .* radians\?"),
         (
             lambda arm: jc.tasks.via(arm, TARGET, [0.1, 0.2], [0.1]),
             ValueError,

@@ -1,5 +1,6 @@
 """Movements as control problems: reach, posture, swing up, avoid, hit, pass through, track."""
 
+import inspect
 from collections.abc import Callable
 
 import jax
@@ -45,6 +46,12 @@ def _problem(
     noise = None if motor_noise is None else SignalDependentNoise(motor_noise)
     cost = cost + Effort(effort)
     return Problem(plant, cost, num_steps=num_steps, dt=dt, noise=noise, integrator=integrator)
+
+
+def _check_further(task: str, arguments: dict) -> None:
+    """Raise TypeError, naming the task, for a further argument that `reach` has not."""
+    for name in arguments.keys() - inspect.signature(reach).parameters.keys():
+        raise TypeError(f"{task}() got an unexpected keyword argument {name!r}")
 
 
 def reach(
@@ -206,6 +213,7 @@ def obstacle(
     `jc.solve` raises it when the disc contains the hand at x0 (under jit: a status). Either needs
     known values.
     """
+    _check_further("obstacle", reach_arguments)
     check_weights(radius=radius, obstacle_weight=obstacle_weight)
     problem = reach(plant, target, duration, **reach_arguments)
     centre = check_array("centre", centre, (plant.dim,))
@@ -243,6 +251,7 @@ def via(
 
     Returns: `Problem`. Raises as `reach` does, and ValueError for times outside the movement.
     """
+    _check_further("via", reach_arguments)
     check_weights(via_weight=via_weight)
     problem = reach(plant, target, duration, **reach_arguments)
     m = np.shape(times)[0] if np.ndim(times) == 1 else 1
@@ -361,6 +370,7 @@ def centre_out(
 
     Returns: `Problem` with batched arrays. Raises as `reach` does.
     """
+    _check_further("centre_out", reach_arguments)
     n = check_integer("n", n, 1)
     x0 = check_array("x0", x0, (check_hand(plant).nx,))
     if plant.dim != 2:

@@ -114,6 +114,13 @@ def positive(name: str, value: ArrayLike, shape: tuple[int, ...] = ()) -> Array:
     return parameter(name, value, shape)
 
 
+def check_radians(name: str, angles: ArrayLike) -> None:
+    """Raise ValueError, naming the argument, where a finite angle is known to be over two turns."""
+    numbers = known(angles)
+    if numbers is not None and (np.isfinite(numbers) & (np.abs(numbers) > 4 * np.pi)).any():
+        raise ValueError(f"{name}: {angles} is more than two turns; are these radians?")
+
+
 def wanted(shape: tuple[int, ...]) -> str:
     """Write the shapes that `parameter` accepts."""
     return "()" if shape == () else f"() or {shape}"

@@ -29,8 +29,12 @@ class Problem(eqx.Module):
         dt: time step [s].
         noise: process noise, or None. `ILQR` plans without it; `simulate` lets it act.
         control_bounds: (lower, upper), scalars or shapes (nu,) or (T, nu); None takes the plant's
-            own, (-inf, inf) removes them.
+            own, (-inf, inf) removes them. `problem.bounds` are those in use, each (T, nu);
+            `problem.control_bounds` is None where they are the plant's.
         integrator: `Euler()` by default for continuous plants; a discrete plant is its own.
+
+    For other bounds make a new `Problem`, or, where the plant was made with some, replace them:
+    `eqx.tree_at(lambda p: p.plant.control_bounds, problem, (lower, upper))`, each (nu,).
 
     Raises ValueError or TypeError, naming the argument, when one does not fit.
     """

@@ -27,6 +27,12 @@ class Pulses(eqx.Module):
     the same as a hand sensed at -d. The problem's cost does not follow: where the target moved, the
     cost is that of another problem, `other.total_cost(trajectory.xs, trajectory.us)`.
 
+    `sensed` shifts the state. For an arm with joints q the shift dq of a target's jump by d [m] has
+    J(q) dq = -d, to first order in d:
+
+        J = jax.jacobian(arm.hand_of_joints)(q)  # q: the joints around the time of the jump
+        sensed = jnp.zeros((T, arm.nx)).at[k:, : q.size].set(jnp.linalg.lstsq(J, -d)[0])
+
     Arguments:
         forces: F on the hand [N], held over each step, shape (T, dim); for an arm, whose joints
             they accelerate.

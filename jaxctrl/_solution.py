@@ -86,9 +86,20 @@ class Solution(eqx.Module):
         else:
             head = "Solution, " + ("converged" if ok else "NOT converged")
             rows.insert(0, ("reason", self.status.name))
+            rows += _held(self.policy)
         lines = [head] + [f"  {name:<11}{value}" for name, value in rows]
         lines += [f"  {line}" for line in self.status.message.split("\n")]
         return "\n".join(lines)
+
+
+def _held(policy: AffinePolicy) -> list[tuple[str, str]]:
+    """Say how many controls lie on a bound: gains of zero are no fault there."""
+    if policy.bounds is None or not is_concrete(policy.us, policy.K, *policy.bounds):
+        return []
+    us, (lower, upper) = np.asarray(policy.us), map(np.asarray, policy.bounds)
+    held = ((us == lower) | (us == upper)) & (np.asarray(policy.K) == 0).all(axis=-1)
+    text = f"{held.sum()} of {held.size} controls, whose gains are zero"
+    return [("at bounds", text)] if held.any() else []
 
 
 def _dataset(solution: Solution) -> "xarray.Dataset":

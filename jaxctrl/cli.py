@@ -146,21 +146,27 @@ def run(words: tuple[str, ...], quick: bool, out: Path, pairs: tuple[str, ...], 
 @jaxctrl.command()
 @click.argument("word", metavar="NAME | FILE.py")
 @_out
-def show(word: str, out: Path) -> None:
+def show(word: str, out: Path) -> int:
     """Show settings, claims and variables of a finished experiment, and verify its files."""
     _check_experiments([word])
     name = experiments.resolve(word)
     from .experiments import _store
 
     try:
-        found = _store.read(out, name)
+        kept = _store.unfinished(out, name)
+        alone = kept is not None and not _store.locate(out, name).exists()
+        found = kept if kept and alone else _store.read(out, name)
     except _store.StoreError as error:
         raise click.ClickException(str(error)) from error
     made = ", ".join(f"{package} {version}" for package, version in found.manifest.versions.items())
     say(f"{name}: {experiments.describe(word)}")
     say(f"made by {made} in {found.manifest.wall_seconds} s; all files of {found.folder} are whole")
-    if found.manifest.failure:
+    if found.manifest.failure and not alone:
         say(f"FAILED: {found.manifest.failure}")
+    if kept:
+        say(f"The last run FAILED: {kept.manifest.failure}")
+        say(f"Its data are whole, in {kept.folder / 'result.nc'}: mend the figure or the claims,")
+        say(f"and `jaxctrl run {word}` with the same settings goes on from there.")
     say("\nSettings")
     say(_table([(key, str(value)) for key, value in found.config.items()]))
     say("\nClaims")
@@ -178,6 +184,7 @@ def show(word: str, out: Path) -> None:
         for key, variable in found.data().variables.items()
     ]
     say(_table([("name", "shape", "units", "meaning"), *rows]))
+    return int(alone)
 
 
 @jaxctrl.command()

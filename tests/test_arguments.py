@@ -140,6 +140,17 @@ def test_integers_of_numpy_are_integers():
     assert jc.tasks.centre_out(arm, arm.at_rest(0.8, 1.5), n=np.int64(2)).dt.shape == (2,)
 
 
+def test_bounds_of_the_plant_are_in_use_and_replaced_as_the_help_says():
+    assert "eqx.tree_at(lambda p: p.plant.control_bounds, problem, " in (jc.Problem.__doc__ or "")
+    assert "`problem.bounds` are those in use" in (jc.Problem.__doc__ or "")
+    arm = jc.plants.TorqueArm(control_bounds=(-1.0, 1.0))
+    task = jc.tasks.posture(arm, [1.0, 1.5], num_steps=4)
+    assert task.control_bounds is None
+    lower, upper = jnp.array([-2.0, -3.0]), jnp.array([2.0, 3.0])
+    other = eqx.tree_at(lambda p: p.plant.control_bounds, task, (lower, upper))
+    np.testing.assert_array_equal(other.bounds, [jnp.tile(lower, (4, 1)), jnp.tile(upper, (4, 1))])
+
+
 def test_a_time_step_put_in_later_is_checked_again():
     for dt in (0.0, -0.1):
         edited = eqx.tree_at(lambda p: p.dt, problem(), jnp.asarray(dt))

@@ -183,6 +183,19 @@ def test_the_documented_controller_is_this_one():
     assert inside in jc.AbstractController.__doc__
 
 
+def test_the_documented_jump_of_a_target_moves_the_sensed_hand_the_other_way():
+    arm, T, k, d = jc.plants.TorqueArm(), 8, 3, jnp.array([2e-3, -1e-3])
+    x = arm.at_rest(0.7, 1.4)
+    q = x[:2]
+    lines = [line for line in jc.Pulses.__doc__.split("\n") if line.startswith("        ")]
+    names = dict(jax=jax, jnp=jnp, arm=arm, q=q, T=T, k=k, d=d)
+    exec("\n".join(line.strip() for line in lines if re.match(r" +(J|sensed) = ", line)), names)
+    shifts = jax.vmap(lambda shift: arm.hand(x + shift) - arm.hand(x))(names["sensed"])
+    np.testing.assert_allclose(shifts[:k], 0.0, atol=1e-15)
+    np.testing.assert_allclose(shifts[k:], jnp.tile(-d, (T - k, 1)), atol=5e-5)
+    jc.Pulses(sensed=names["sensed"]).check(arm, T)
+
+
 def test_shifts_of_the_state_and_of_what_is_sensed_are_a_loop_in_numpy():
     rng = np.random.default_rng(0)
     states, sensed = rng.normal(size=(2, T, 2))

@@ -6,7 +6,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
@@ -120,7 +120,8 @@ def run_one(
     """Run one experiment and write its folder, unless it is already finished.
 
     The caller holds `_store.locked(out)`. An exception of the experiment becomes the state
-    `failed`; a folder with something else in it becomes the state `refused`.
+    `failed`; where only drawing or judging failed, the data are kept, and are used by the next run
+    with the same settings; a folder with something else in it becomes the state `refused`.
 
     Arguments:
         job: what to run.
@@ -129,42 +130,98 @@ def run_one(
     """
     try:
         folder = _store.locate(out, name)
+        kept = None if force else _kept(out, name, job)
         if force:
             _store.check_ours(folder)
-        elif folder.exists():
+        elif kept is None and folder.exists():
             return _compare(_store.read(out, name), job)
     except _store.StoreError as error:
         return Outcome(name, "refused", f"{error}{'' if force else '; --force recomputes it'}")
+    return _run(name, job, out, kept, tick)
+
+
+def _run(
+    name: str, job: Job, out: Path, kept: _store.Finished | None, tick: Callable[[float], None]
+) -> Outcome:
+    """Compute, unless data were kept, then draw, judge and write; keep the data if that fails."""
+    start, computed = time.monotonic(), 0.0
+    tick(0.0)
+    result = None
+    # an own file may have changed since the kept data were computed: both fingerprints are recorded
+    past = _changed(kept, job) if kept else {}
     try:
         _store.settings(job.config)
-        start = time.monotonic()
-        result, figure, claims = _in_background(lambda: _compute(job), tick)
-        seconds = time.monotonic() - start
-        _store.write(out, name, result, figure, claims, seconds, job.own)
+        if kept:
+            result, computed = kept.result(job.config), kept.manifest.wall_seconds
+        else:
+            result = _in_background(lambda: _compute(job), tick, start)
+            computed = time.monotonic() - start
+        presented = time.monotonic()
+        figure, claims = _in_background(lambda: _present(job, result), tick, start)
+        total = computed + time.monotonic() - presented
+        own = job.own | {f"{file} when computed": digest for file, digest in past.items()}
+        _store.write(out, name, result, figure, claims, total, own)
     except Exception as error:
-        return _failed(name, error)
+        failed = _failed(name, error)
+        return failed if result is None else _keep(out, failed, result, computed, job.own | past)
     if result.failure:
         return Outcome(name, "failed", result.failure, tuple(claims))
-    return Outcome(name, "finished", f"in {seconds:.1f} s", tuple(claims))
+    reused = ", with the data that were kept: only drawn and judged anew" if kept else ""
+    return Outcome(name, "finished", f"in {time.monotonic() - start:.1f} s{reused}", tuple(claims))
 
 
-def _compute(job: Job) -> tuple[Result, Any, list[Claim]]:
-    """Run an experiment, draw its figure and judge its claims.
+def _keep(out: Path, failed: Outcome, result: Result, seconds: float, own: dict) -> Outcome:
+    """Keep the data of a result that could not be drawn, judged or saved, and say where."""
+    try:
+        folder = _store.keep(out, failed.name, result, failed.detail, seconds, own)
+    except Exception as error:
+        return replace(failed, detail=f"{failed.detail}; its data could not be kept: {error}")
+    return replace(
+        failed,
+        detail=f"{failed.detail}; its data are kept in {folder / 'result.nc'}: mend the figure or "
+        "the claims, and the same command goes on from there (--force computes anew)",
+    )
 
-    Raises: TypeError for what is no result, figure or list of claims.
+
+def _kept(out: Path, name: str, job: Job) -> _store.Finished | None:
+    """Return what an unfinished run with the same settings and version kept, if there is any.
+
+    Raises: StoreError when what is there was made differently and nothing else is finished.
+    """
+    found = _store.unfinished(out, name)
+    differences = _differences(found, job) if found else []
+    if found and differences and not _store.locate(out, name).exists():
+        raise _store.StoreError(
+            f"{found.folder}: data of an unfinished run, made differently: {'; '.join(differences)}"
+        )
+    return None if differences else found
+
+
+def _compute(job: Job) -> Result:
+    """Run an experiment.
+
+    Raises: TypeError for what is no result.
     """
     result = job.module.run(job.config)
     if not isinstance(result, Result):
         raise TypeError(f"run: a jc.experiments.Result is wanted, got {type(result).__name__}")
+    return result
+
+
+def _present(job: Job, result: Result) -> tuple[Any, list[Claim]]:
+    """Draw the figure of a result and judge its claims.
+
+    Raises: TypeError for what is no figure or list of claims.
+    """
     figure, claims = job.module.figure(result), job.module.claims(result)
     if not hasattr(figure, "savefig"):
         raise TypeError(f"figure: a matplotlib Figure is wanted, got {type(figure).__name__}")
     if not isinstance(claims, list) or not all(isinstance(claim, Claim) for claim in claims):
         raise TypeError(f"claims: a list of jc.experiments.Claim is wanted, got {claims!r:.80}")
-    return result, figure, claims
+    return figure, claims
 
 
-def _in_background(work: Callable[[], Any], tick: Callable[[float], None]) -> Any:
+def _in_background(work: Callable[[], Any], tick: Callable[[float], None], start: float) -> Any:
     """Call a function in a thread, so that a signal is answered at once while XLA computes.
 
     After an interruption the thread is left to itself; it writes no files.
@@ -177,8 +234,6 @@ def _in_background(work: Callable[[], Any], tick: Callable[[float], None]) -> An
         except BaseException as error:
             future.set_exception(error)
 
-    start = time.monotonic()
-    tick(0.0)
     threading.Thread(target=run, daemon=True).start()
     while not wait([future], timeout=0.5).done:
         tick(time.monotonic() - start)
@@ -187,8 +242,19 @@ def _in_background(work: Callable[[], Any], tick: Callable[[float], None]) -> An
 
 def _compare(found: _store.Finished, job: Job) -> Outcome:
     """Skip an experiment that is finished with the same settings and version; refuse another."""
-    name, version = found.manifest.experiment, found.manifest.versions["jaxctrl"]
-    config = _store.settings(job.config)
+    name = found.manifest.experiment
+    differences = _differences(found, job)
+    differences += [f"{file} has changed since" for file in _changed(found, job)]
+    if differences:
+        raise _store.StoreError(f"{found.folder}: finished differently: {'; '.join(differences)}")
+    if found.manifest.failure:
+        return Outcome(name, "failed", f"before: {found.manifest.failure}", found.claims)
+    return Outcome(name, "skipped", "because it is already finished", found.claims)
+
+
+def _differences(found: _store.Finished, job: Job) -> list[str]:
+    """Return in words how settings and version there differ from those here."""
+    config, version = _store.settings(job.config), found.manifest.versions["jaxctrl"]
     differences = [
         f"{key} is {found.config.get(key)!r} there and {config.get(key)!r} here"
         for key in config | found.config
@@ -196,14 +262,13 @@ def _compare(found: _store.Finished, job: Job) -> Outcome:
     ]
     if version != __version__:
         differences.append(f"it was made by jaxctrl {version}, this is {__version__}")
-    for file, digest in job.own.items():
-        if found.manifest.versions.get(file) != digest:
-            differences.append(f"{file} has changed since")
-    if differences:
-        raise _store.StoreError(f"{found.folder}: finished differently: {'; '.join(differences)}")
-    if found.manifest.failure:
-        return Outcome(name, "failed", f"before: {found.manifest.failure}", found.claims)
-    return Outcome(name, "skipped", "because it is already finished", found.claims)
+    return differences
+
+
+def _changed(found: _store.Finished, job: Job) -> dict[str, str]:
+    """Return the files that have changed since, with their fingerprints of then."""
+    then = found.manifest.versions
+    return {file: then.get(file, "") for file, now in job.own.items() if then.get(file) != now}
 
 
 def _failed(name: str, error: Exception) -> Outcome:

@@ -4,6 +4,9 @@
 manifest with the SHA-256 of the others. The files are written into a temporary sibling, forced to
 the disk and renamed into place, so that an interruption at any moment leaves the finished
 experiments whole; what a killed run left behind is removed by the next.
+
+A result that could not be drawn or judged is kept in the same way, in `<out>/<name>.unfinished/`:
+config.json, result.nc and done.json, whose failure is what was raised.
 """
 
 import contextlib
@@ -14,7 +17,7 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -34,6 +37,8 @@ MANIFEST = "done.json"
 """Name of the manifest, the last file to be written."""
 
 _FILES = ("config.json", "result.nc", "figure.pdf", "figure.png", "claims.json")
+_ATTRIBUTES = ("experiment", "config", "jaxctrl", "schema", "failure")
+_UNFINISHED = ".unfinished"
 _PARTIAL = ".jaxctrl-partial-"
 _REPLACED = ".replaced"
 _PROBE = 1 << 20
@@ -52,7 +57,7 @@ class Manifest:
         experiment: name in the registry.
         versions: of jaxctrl, jax and numpy, and the fingerprint of a user's own file.
         wall_seconds: how long the experiment took [s].
-        failure: reason why the result cannot be trusted, or empty.
+        failure: reason why the result cannot be trusted or is unfinished, or empty.
         files: size in bytes and SHA-256 of each file.
     """
 
@@ -83,6 +88,13 @@ class Finished:
     def data(self) -> xarray.Dataset:
         """Load the arrays from result.nc."""
         return xarray.load_dataset(self.folder / "result.nc", engine="h5netcdf", decode_times=False)
+
+    def result(self, config: Any) -> Result:
+        """Return the result as it was before it was written, with the `Config` that gave it."""
+        data = self.data()
+        failure = data.attrs["failure"]
+        data.attrs = {key: value for key, value in data.attrs.items() if key not in _ATTRIBUTES}
+        return Result(data, config, failure)
 
 
 def settings(config: Any) -> dict[str, Any]:
@@ -161,10 +173,56 @@ def write(
         seconds: how long the experiment took [s].
         own: name and fingerprint of the experiment's file, where it is not one of the package.
     """
-    partial = out / f"{_PARTIAL}{name}"
+
+    def draw(folder: Path):
+        _write_json(folder / "claims.json", [asdict(claim) for claim in claims])
+        figure.savefig(folder / "figure.pdf", metadata={"CreationDate": None})
+        figure.savefig(folder / "figure.png")
+
+    written = _write(out, name, name, result, draw, result.failure, seconds, own)
+    kept = out / f"{name}{_UNFINISHED}"
+    if kept.exists():  # renamed first, so that it is never there in part
+        check_ours(kept)
+        shutil.rmtree(kept.rename(out / f"{_PARTIAL}{kept.name}"))
+    return written
+
+
+def keep(
+    out: Path, name: str, result: Result, failure: str, seconds: float, own: Mapping[str, str]
+) -> Path:
+    """Write a result that could not be drawn or judged, with the reason, and return its folder.
+
+    A finished experiment of that name stays as it is. The caller holds `locked(out)`.
+    """
+    folder = f"{name}{_UNFINISHED}"
+    return _write(out, folder, name, result, lambda partial: None, failure, seconds, own)
+
+
+def unfinished(out: Path, name: str) -> Finished | None:
+    """Read and verify the result that was kept when drawing or judging it failed, if there is one.
+
+    Raises: StoreError as `read` does.
+    """
+    folder = locate(out, f"{name}{_UNFINISHED}")
+    return _read(folder, name) if folder.exists() else None
+
+
+def _write(
+    out: Path,
+    place: str,
+    name: str,
+    result: Result,
+    draw: Callable[[Path], None],
+    failure: str,
+    seconds: float,
+    own: Mapping[str, str],
+) -> Path:
+    """Write the folder `place` of an experiment: data, what `draw` adds, manifest."""
+    partial = out / f"{_PARTIAL}{place}"
     partial.mkdir()
     try:
-        _write_files(partial, name, result, figure, claims)
+        _write_result(partial, name, result)
+        draw(partial)
         manifest = Manifest(
             schema=SCHEMA,
             experiment=name,
@@ -174,14 +232,18 @@ def write(
                 **own,
             },
             wall_seconds=round(seconds, 3),
-            failure=result.failure,
-            files={file: _fingerprint((partial / file).read_bytes()) for file in _FILES},
+            failure=failure,
+            files={
+                file: _fingerprint((partial / file).read_bytes())
+                for file in _FILES
+                if (partial / file).exists()
+            },
         )
         record = asdict(manifest)
         _write_json(partial / MANIFEST, {**record, "sha256": _digest(record)})
         for path in (*partial.iterdir(), partial):
             _sync_path(path)
-        return _publish(partial, locate(out, name))
+        return _publish(partial, locate(out, place))
     except BaseException:
         _clean(out)
         raise
@@ -193,7 +255,10 @@ def read(out: Path, name: str) -> Finished:
     Raises: StoreError naming the file and what is wrong: missing, truncated, changed since it was
     written, of another experiment, or of another layout.
     """
-    folder = locate(out, name)
+    return _read(locate(out, name), name)
+
+
+def _read(folder: Path, name: str) -> Finished:
     manifest = _read_manifest(folder, name)
     content: dict[str, bytes] = {}
     for file, expected in manifest.files.items():
@@ -206,15 +271,14 @@ def read(out: Path, name: str) -> Finished:
         if found != expected:
             raise StoreError(f"{folder / file}: changed since it was written (SHA-256 differs)")
     config = json.loads(content["config.json"])
-    claims = tuple(Claim(**claim) for claim in json.loads(content["claims.json"]))
+    claims = tuple(Claim(**claim) for claim in json.loads(content.get("claims.json", "[]")))
     return Finished(folder, manifest, config, claims)
 
 
-def _write_files(folder: Path, name: str, result: Result, figure: Any, claims: list[Claim]) -> None:
-    """Write all files but the manifest."""
+def _write_result(folder: Path, name: str, result: Result) -> None:
+    """Write settings and data."""
     config = settings(result.config)
     _write_json(folder / "config.json", config)
-    _write_json(folder / "claims.json", [asdict(claim) for claim in claims])
     data = result.data.assign_attrs(
         experiment=name,
         config=json.dumps(config, allow_nan=False),
@@ -224,8 +288,6 @@ def _write_files(folder: Path, name: str, result: Result, figure: Any, claims: l
     )
     # through memory, because HDF5 ends the process with a segmentation fault on a full disk
     (folder / "result.nc").write_bytes(data.to_netcdf(engine="h5netcdf"))
-    figure.savefig(folder / "figure.pdf", metadata={"CreationDate": None})
-    figure.savefig(folder / "figure.png")
 
 
 def _publish(partial: Path, folder: Path) -> Path:

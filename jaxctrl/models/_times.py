@@ -21,6 +21,9 @@ from ..solvers import AbstractSolver
 GAP = 0.02
 """Least time between two events, as a fraction of the duration; our choice."""
 
+SLACK = 1e-6
+"""By how much of the first duration a gap may be too small: the search's own round-off."""
+
 FIRST = 0.2
 """Largest first change of a time, as a fraction of the duration; our choice."""
 
@@ -76,8 +79,9 @@ def optimise_times(
     minimise  J*(T, t_1 ... t_m) + price T,  J* the optimal cost for fixed times
 
     by SciPy's SLSQP with the exact derivatives of J* (the envelope theorem, through `solve`). The
-    number of steps stays, the time step follows the duration. Times are kept apart, and from start
-    and end, by a fiftieth of the duration. Each solve starts from the controls of the best one so
+    number of steps stays, the time step follows the duration. Passing times that are free keep the
+    order they begin in, and are kept apart, and from start and end, by a fiftieth of the duration.
+    Each solve starts from the controls of the best one so
     far: the optimum is a local one. Between two grid points a path is linear, so that the optimal
     cost has a slight kink where a passing time meets a grid point, and the search may end in one:
     with more steps it ends closer to the optimum.
@@ -130,7 +134,8 @@ def optimise_times(
         )
     except _Failed as error:
         return search.result(False, f"a solve on the way failed: {error}")
-    return search.result(bool(found.success), found.message + search.remarks(low, high, passing))
+    message = found.message + search.remarks(low, high, passing)
+    return search.result(bool(found.success) and search.apart, message)
 
 
 def _range(duration, now: float, fixed: np.ndarray) -> tuple[float, float]:
@@ -156,30 +161,35 @@ class _Search:
     def __init__(self, problem, solver, x0, us, price, given, passing):
         self.problem, self.solver, self.x0, self.us, self.price = problem, solver, x0, us, price
         self.given, self.passing = given, passing
+        self.order = np.argsort(given, kind="stable")  # parts of a cost may stand in any
         self.unit = float(problem.duration)
         self.scale: float | None = None
         self.history: list[float] = []
         self.best: tuple[float, np.ndarray, Any] | None = None
+        self.apart = False  # whether the best keeps the gaps: the times given may not
 
     def seconds(self, variables) -> tuple[float, np.ndarray]:
         """Return the duration and the passing times [s]."""
         times = self.unit * np.asarray(variables[1:]) if self.passing else self.given
         return self.unit * float(variables[0]), times
 
+    def gaps(self, variables) -> np.ndarray:
+        """Return how much more than wanted lies between neighbours, start and end among them.
+
+        Where passing times stay, all that is wanted is that the last is not after the end.
+        """
+        duration, times = self.seconds(variables)
+        ends = np.concatenate([[0.0], times[self.order], [duration]])
+        apart = np.diff(ends)[-1:] if not self.passing else np.diff(ends) - GAP * duration
+        return apart / self.unit
+
     def constraints(self):
         """Keep the events in order, between start and end; none where there is no event."""
-        m = self.given.size
-        if not m:
-            return ()
-        fixed = np.zeros(m) if self.passing else self.given / self.unit
+        return {"type": "ineq", "fun": self.gaps} if self.given.size else ()
 
-        def gaps(variables):
-            inner = np.asarray(variables[1:]) if self.passing else fixed
-            ends = np.concatenate([[0.0], inner, [variables[0]]])
-            apart = np.diff(ends) - GAP * variables[0]
-            return apart if self.passing else apart[-1:] + GAP * variables[0]
-
-        return {"type": "ineq", "fun": gaps}
+    def allowed(self, variables) -> bool:
+        """Tell whether a trial keeps the gaps, which SLSQP leaves on its way."""
+        return not self.given.size or bool((self.gaps(variables) >= -SLACK).all())
 
     def __call__(self, variables) -> tuple[float, np.ndarray]:
         duration, times = self.seconds(variables)
@@ -189,7 +199,9 @@ class _Search:
         )
         value, ok = float(value), bool(solution.status.ok)
         self.history.append(value)
-        if self.best is None or (ok and value < self.best[0]):
+        allowed = self.allowed(variables)
+        if self.best is None or (ok and allowed and (value < self.best[0] or not self.apart)):
+            self.apart = allowed
             self.best = (value, np.array(variables), solution)
             self.us = solution.us
         if not ok:
@@ -205,7 +217,7 @@ class _Search:
         """Say where the best times lie at a limit or, in a kink, on a grid point."""
         assert self.best is not None
         duration, times = self.seconds(self.best[1])
-        said = ""
+        said = "" if self.apart else "; no times that are far enough apart were found"
         for limit, name in ((low, "lower"), (high, "upper")):
             if low < high and abs(duration - limit) < 1e-3 * high:
                 said += f"; the duration is at its {name} limit"

@@ -1,10 +1,14 @@
 """Physical parameters: arrays with a gradient, checked wherever their values can be known."""
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import known as known, parameter as parameter, positive as positive
+from .._checks import (
+    check_radians,
+    known as known,
+    parameter as parameter,
+    positive as positive,
+)
 
 
 def state_part(
@@ -25,9 +29,8 @@ def radians(
 
     Raises ValueError, naming the argument, where one is known to be beyond two turns.
     """
-    part, numbers = state_part(name, value, leaf, shape), known(value)
-    if numbers is not None and (np.abs(numbers) > 4 * np.pi).any():
-        raise ValueError(f"{name}: {value} is more than two turns; are these radians?")
+    part = state_part(name, value, leaf, shape)
+    check_radians(name, value)
     return part
 
 

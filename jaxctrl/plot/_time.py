@@ -162,6 +162,11 @@ def trajectories(
     """
     columns = _columns("values", values, "N", "n")
     length, count = columns.shape
+    if np.shape(ts) == (count,) != (length,):
+        shape = np.shape(values)
+        raise ValueError(
+            f"values: shape {shape} given, wanted ({count}, n), as long as `ts`; try .T"
+        )
     clock = _samples.times("ts", ts, length, f"({length},), as long as `values`")
     labels = _samples.names_for("names", names, count, "column of `values`")
     goals = None if targets is None else _samples.one_for_each("targets", targets, count)

@@ -1,5 +1,6 @@
 """Movements as control problems: reach, posture, swing up, avoid, hit, pass through, track."""
 
+import inspect
 from collections.abc import Callable
 
 import jax
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import check_array, check_integer, check_weights, is_concrete
+from .._checks import check_array, check_integer, check_radians, check_weights, is_concrete
 from .._cost import QuadraticCost
 from .._integrate import AbstractIntegrator
 from .._noise import SignalDependentNoise
@@ -45,6 +46,12 @@ def _problem(
     noise = None if motor_noise is None else SignalDependentNoise(motor_noise)
     cost = cost + Effort(effort)
     return Problem(plant, cost, num_steps=num_steps, dt=dt, noise=noise, integrator=integrator)
+
+
+def _check_further(task: str, arguments: dict) -> None:
+    """Raise TypeError, naming the task, for a further argument that `reach` has not."""
+    for name in arguments.keys() - inspect.signature(reach).parameters.keys():
+        raise TypeError(f"{task}() got an unexpected keyword argument {name!r}")
 
 
 def reach(
@@ -143,11 +150,12 @@ def posture(
             it: `stop=False` gives the formula as printed.
         duration, num_steps, effort, motor_noise, integrator: as in `reach`.
 
-    Returns: `Problem`. Raises as `reach` does.
+    Returns: `Problem`. Raises as `reach` does, and ValueError for angles beyond two turns.
     """
     if not isinstance(plant, AbstractArm):
         raise TypeError(f"plant: one with joints is wanted, got {type(plant).__name__}")
     angles = check_array("angles", angles, (plant.num_joints,))
+    check_radians("angles", angles)
     cost = PostureTarget(angles, velocity_weight=1.0 if stop else 0.0)
     return _problem(plant, cost, duration, num_steps, effort, motor_noise, integrator)
 
@@ -205,6 +213,7 @@ def obstacle(
     `jc.solve` raises it when the disc contains the hand at x0 (under jit: a status). Either needs
     known values.
     """
+    _check_further("obstacle", reach_arguments)
     check_weights(radius=radius, obstacle_weight=obstacle_weight)
     problem = reach(plant, target, duration, **reach_arguments)
     centre = check_array("centre", centre, (plant.dim,))
@@ -242,6 +251,7 @@ def via(
 
     Returns: `Problem`. Raises as `reach` does, and ValueError for times outside the movement.
     """
+    _check_further("via", reach_arguments)
     check_weights(via_weight=via_weight)
     problem = reach(plant, target, duration, **reach_arguments)
     m = np.shape(times)[0] if np.ndim(times) == 1 else 1
@@ -319,8 +329,8 @@ def limit_joints(
             0 to 2.6.
         weight: w [1/(rad^2 s)]; 1 is our choice.
 
-    Returns: `Problem`. Raises TypeError for a plant without joints, ValueError for a wrong shape or
-    lower > upper.
+    Returns: `Problem`. Raises TypeError for a plant without joints, ValueError for a wrong shape,
+    lower > upper or limits beyond two turns, which can only be degrees.
     """
     check_weights(weight=weight)
     if not isinstance(problem.plant, AbstractArm):
@@ -329,6 +339,8 @@ def limit_joints(
         )
     limits = as_bounds((lower, upper), (problem.plant.num_joints,), "lower, upper")
     assert limits is not None
+    for name, limit in zip(("lower", "upper"), limits, strict=True):
+        check_radians(name, limit)
     if is_concrete(*limits) and not bool((limits[0] <= limits[1]).all()):
         raise ValueError(f"lower: at most upper is wanted, got {limits[0]} and {limits[1]}")
     # A limit that is never reached stands for none: `solve` refuses what is not finite.
@@ -358,6 +370,7 @@ def centre_out(
 
     Returns: `Problem` with batched arrays. Raises as `reach` does.
     """
+    _check_further("centre_out", reach_arguments)
     n = check_integer("n", n, 1)
     x0 = check_array("x0", x0, (check_hand(plant).nx,))
     if plant.dim != 2:

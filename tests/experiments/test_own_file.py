@@ -78,6 +78,28 @@ def test_a_file_that_has_changed_is_not_taken_for_finished(call):
     assert code == 0 and stdout.startswith("mine: \nmade by jaxctrl ")
 
 
+def test_a_mended_figure_takes_the_data_of_the_run_before(call):
+    counted = "\ndef run(config):\n    print('computing')\n    return result(config)\n"
+    good = GOOD.replace("result as run", "result") + counted
+    Path("mine.py").write_text(good + "def figure(result): return result.data.hnad\n")
+    code, stdout, _ = call("run", "mine.py")
+    assert (
+        code == 1 and "computing" in stdout and "data are kept in results/mine.unfinished" in stdout
+    )
+    code, stdout, _ = call("show", "mine.py")
+    assert code == 1 and "The last run FAILED: AttributeError" in stdout
+    assert "results/mine.unfinished/result.nc" in stdout and "hand  " in stdout
+    Path("mine.py").write_text(good)
+    code, stdout, stderr = call("run", "mine.py")
+    assert code == 0 and "computing" not in stdout and "the data that were kept" in stderr
+    code, stdout, _ = call("show", "mine.py")
+    assert code == 0 and "mine.py when computed " in stdout and "FAILED" not in stdout
+    Path("mine.py").write_text(good + "def claims(result): return result.data.hnad\n")
+    assert call("run", "mine.py", "--force", "--set", "seed=7")[0] == 1
+    code, stdout, _ = call("show", "mine.py")
+    assert code == 0 and "The last run FAILED" in stdout and "seed   0" in stdout
+
+
 @pytest.mark.parametrize("part", ["Config", "run", "figure", "claims"])
 def test_a_file_that_lacks_a_part_is_refused_before_anything_is_computed(call, part):
     Path("mine.py").write_text(GOOD + f"\ndel {part}\n")

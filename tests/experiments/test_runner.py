@@ -68,12 +68,88 @@ def test_a_module_that_cannot_be_imported_is_a_failure_of_its_own(use, tmp_path,
     assert "jaxctrl_absent" in outcomes[1].detail
 
 
-@pytest.mark.parametrize("part", ["figure", "claims"])
-def test_a_failing_figure_or_claim_leaves_no_file(use, tmp_path, part):
-    use("good", good=fake.fake(**{part: fake.raise_error}))
-    outcomes, _ = run(tmp_path)
-    assert states(outcomes) == ["failed"]
-    assert not files(tmp_path)
+def unsavable(result):
+    drawn = fake.figure(result)
+    drawn.suptitle("$\\frac$")  # is read when the figure is saved
+    return drawn
+
+
+UNDRAWN = [("figure", fake.raise_error), ("claims", fake.raise_error), ("figure", unsavable)]
+
+
+@pytest.mark.parametrize(("part", "broken"), UNDRAWN)
+def test_data_outlive_a_failure_to_draw_or_judge_and_are_used_again(use, tmp_path, part, broken):
+    use("good", good=fake.fake(**{part: broken}))
+    (failed,), _ = run(tmp_path)
+    assert failed.state == "failed" and "data are kept in" in failed.detail and failed.trace
+    assert str(tmp_path / "good.unfinished" / "result.nc") in failed.detail
+    assert {path.parts[0] for path in files(tmp_path)} == {"good.unfinished"}
+    kept = _store.unfinished(tmp_path, "good")
+    assert kept.data().equals(fake.result(fake.Config()).data)
+    assert failed.detail.startswith(kept.manifest.failure)
+    use("good", good=fake.fake(fake.raise_error))  # computes no more
+    (finished,), _ = run(tmp_path)
+    assert finished.state == "finished" and "the data that were kept" in finished.detail
+    assert states(run(tmp_path)[0]) == ["skipped"]
+    again = files(tmp_path)
+    use("good")
+    run(tmp_path / "other")
+    fresh = _store.read(tmp_path / "other", "good")
+    assert {path.name for path in again} == {path.name for path in fresh.folder.iterdir()}
+    assert _store.read(tmp_path, "good").data().identical(fresh.data())
+    assert _store.read(tmp_path, "good").claims == fresh.claims
+
+
+def test_kept_data_of_other_settings_are_refused_and_computed_anew_on_request(use, tmp_path):
+    use("good", good=fake.fake(figure=fake.raise_error))
+    run(tmp_path)
+    (refused,), _ = run(tmp_path, config=fake.Config(seed=3))
+    assert refused.state == "refused" and "seed is 0 there and 3 here; --force" in refused.detail
+    (failed,), _ = run(tmp_path, config=fake.Config(seed=3), force=True)
+    assert failed.state == "failed"
+    assert _store.unfinished(tmp_path, "good").config["seed"] == 3
+    use("good")
+    (finished,), _ = run(tmp_path, force=True)
+    assert finished.state == "finished" and "kept" not in finished.detail
+    assert {path.parts[0] for path in files(tmp_path)} == {"good"}
+
+
+def test_a_failure_to_draw_leaves_what_is_finished_alone(use, tmp_path):
+    use("good")
+    run(tmp_path)
+    use("good", good=fake.fake(figure=fake.raise_error))
+    assert states(run(tmp_path, config=fake.Config(seed=3), force=True)[0]) == ["failed"]
+    assert _store.read(tmp_path, "good").config["seed"] == 0
+    assert states(run(tmp_path)[0]) == ["skipped"]
+    use("good", good=fake.fake(fake.raise_error))
+    assert states(run(tmp_path, config=fake.Config(seed=3))[0]) == ["finished"]
+    assert _store.read(tmp_path, "good").config["seed"] == 3
+
+
+def test_a_result_that_reports_failure_still_does_when_its_data_were_kept(use, tmp_path):
+    use("fails", fails=fake.fake(fake.FAKES["fails"].run, figure=fake.raise_error))
+    run(tmp_path)
+    use("fails", fails=fake.fake(fake.raise_error))
+    (failed,), _ = run(tmp_path)
+    assert failed.state == "failed" and failed.detail == "ILQR stopped at its maximum of steps"
+    assert _store.read(tmp_path, "fails").manifest.failure == failed.detail
+
+
+def test_damaged_kept_data_are_refused(use, tmp_path):
+    use("good", good=fake.fake(figure=fake.raise_error))
+    run(tmp_path)
+    flip(tmp_path / "good.unfinished")
+    (refused,), _ = run(tmp_path)
+    assert refused.state == "refused" and "result.nc: changed" in refused.detail
+
+
+def test_data_that_cannot_be_kept_are_no_second_failure(use, tmp_path):
+    use("good", good=fake.fake(figure=fake.raise_error))
+    (tmp_path / "good.unfinished").mkdir()
+    (tmp_path / "good.unfinished" / "notes.txt").write_text("mine")
+    (failed,), _ = run(tmp_path, force=True)
+    assert failed.state == "failed" and "the arm fell off" in failed.detail
+    assert "notes.txt: not a file of jaxctrl" in failed.detail
 
 
 def test_a_setting_that_cannot_be_stored_fails_before_computing(use, tmp_path):

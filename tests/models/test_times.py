@@ -217,6 +217,51 @@ def test_times_in_different_parts_keep_their_order(arm, x0):
     np.testing.assert_allclose(changed.dt, 0.05)
 
 
+class _Via(jc.AbstractEvents):
+    times: jax.Array
+    points: jax.Array
+
+    def event(self, plant, x, j):
+        return 100 * jnp.sum((x[:2] - self.points[j]) ** 2)
+
+
+@pytest.fixture(scope="module")
+def mass():
+    """A mass in the plane that is to stop at (1, 0)."""
+    plant = jc.FunctionPlant(lambda x, u, t: jnp.stack([x[2], x[3], u[0], u[1]]), nx=4, nu=2)
+    goal = jnp.array([1.0, 0, 0, 0])
+    cost = jc.FunctionCost(
+        lambda x, u, t: 0.01 * jnp.sum(u**2), lambda x: 100 * jnp.sum((x - goal) ** 2)
+    )
+    return jc.Problem(plant, cost, num_steps=20, dt=0.05)
+
+
+def test_the_order_of_parts_does_not_matter(mass):
+    late = _Via(jnp.array([0.7]), jnp.array([[0.7, 0.2]]))
+    early = _Via(jnp.array([0.3]), jnp.array([[0.3, -0.2]]))
+    found = [
+        jc.optimise_times(problem, jc.DDP(), jnp.zeros(4), passing=True)
+        for problem in (mass + early + late, mass + late + early)
+    ]
+    print(*found, sep="\n")
+    assert found[0].ok and found[1].ok
+    np.testing.assert_allclose(found[1].value, found[0].value, rtol=1e-3)
+    np.testing.assert_allclose(found[1].times[::-1], found[0].times, atol=1e-3)
+    assert found[1].times[0] > found[1].times[1]
+
+
+@pytest.mark.parametrize("times", [[0.5, 0.505], [0.505, 0.5], [0.001, 0.999]])
+def test_times_given_too_close_are_never_returned(mass, times):
+    """The cheapest trial may be one that is not allowed, as the first one is here."""
+    points = jnp.array([[0.5, 0.0], [0.5, 0.0]])
+    problem = mass + _Via(jnp.array(times), points)
+    found = jc.optimise_times(problem, jc.DDP(), jnp.zeros(4), passing=True)
+    print(found, found.history)
+    ends = np.concatenate([[0.0], np.sort(found.times), [found.duration]])
+    assert found.ok and (np.diff(ends) > 0.02 * found.duration - 1e-5).all()
+    assert found.value in found.history
+
+
 def test_other_times_do_not_compile_again(via, x0):
     from jaxctrl.models import _times
 

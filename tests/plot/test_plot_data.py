@@ -174,3 +174,11 @@ def test_a_pendulum_that_turns_has_ticks_at_multiples_of_pi():
     figure.draw_without_rendering()
     names = [label.get_text() for label in figure.axes[0].get_xticklabels()]
     assert {"−π", "−π/2", "0", "π/2", "π"} <= set(names)
+
+
+def test_trajectories_that_lie_across_are_named_with_advice():
+    ts = np.linspace(0, 1, 11)
+    with pytest.raises(ValueError, match=r"^values: shape \(2, 11\) .* \(11, n\).*try \.T"):
+        plot.trajectories(ts, np.ones((2, 11)), unit="rad")
+    with pytest.raises(ValueError, match=r"^ts: shape"):
+        plot.trajectories(ts, np.ones((12, 2)), unit="rad")

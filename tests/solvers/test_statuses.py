@@ -386,6 +386,22 @@ def test_solve_prints_nothing_and_solutions_print_a_table(capsys):
         assert word in text
 
 
+@pytest.mark.parametrize("solver", [jc.ILQR(), jc.DDP()])
+def test_a_printed_solution_says_how_many_controls_lie_on_bounds(solver):
+    plant, cost = swing().plant, quadratic()
+    bounded = jc.Problem(plant, cost, num_steps=30, dt=0.1, control_bounds=(-0.3, 0.3))
+    solution = jc.solve(bounded, solver, X0)
+    held = (jnp.abs(solution.us) == 0.3) & (solution.policy.K == 0).all(axis=-1)
+    assert 0 < held.sum() <= 30
+    assert f"  at bounds  {held.sum()} of 30 controls, whose gains are zero\n" in str(solution)
+    loose = jc.Problem(plant, cost, num_steps=30, dt=0.1, control_bounds=(-1e3, 1e3))
+    free = jc.Problem(plant, cost, num_steps=30, dt=0.1)
+    for problem in (loose, free):
+        assert "at bounds" not in str(jc.solve(problem, solver, X0))
+    several = jax.vmap(lambda x0: jc.solve(bounded, solver, x0))(jnp.stack([X0, 0.5 * X0]))
+    assert "at bounds" not in str(several)
+
+
 def test_user_functions_of_the_wrong_form_are_answered_with_advice():
     with pytest.raises(TypeError, match="plant: returned a list, wanted one array"):
         jc.solve(swing(lambda x, u, t, p: [x[1], u[0]]), jc.ILQR(), X0)

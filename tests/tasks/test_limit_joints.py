@@ -42,6 +42,10 @@ def test_what_does_not_fit_is_refused(arm):
         jc.tasks.limit_joints(task, [0.0, 0.0, 0.0], 1.0)
     with pytest.raises(ValueError, match="lower: at most upper is wanted"):
         jc.tasks.limit_joints(task, 1.0, 0.0)
+    with pytest.raises(ValueError, match=r"^upper: .* are these radians\?"):
+        jc.tasks.limit_joints(task, [0, 0], [120, 150])
+    with pytest.raises(ValueError, match=r"^lower: .* are these radians\?"):
+        jc.tasks.limit_joints(task, [-90, -np.inf], np.inf)
     with pytest.raises(ValueError, match="weight: at least 0"):
         jc.tasks.limit_joints(task, 0.0, 1.0, weight=-1.0)
     free = jc.plants.FreeHand()

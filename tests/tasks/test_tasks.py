@@ -210,6 +210,7 @@ def test_changing_a_task_does_not_compile_again(arm, x0):
             "num_steps: at least",
         ),
         (lambda arm: jc.tasks.posture(arm, [1.0]), ValueError, r"angles: got shape \(1,\)"),
+        (lambda arm: jc.tasks.posture(arm, [45.0, 90.0]), ValueError, r"^angles: .* radians\?"),
         (
             lambda arm: jc.tasks.via(arm, TARGET, [0.1, 0.2], [0.1]),
             ValueError,
@@ -298,3 +299,15 @@ def test_costs_are_added_to_a_task_and_checked(arm, x0):
         task + jc.tasks.ViaPoints(jnp.zeros((1, 2)), jnp.array([0.9]))
     with pytest.raises(TypeError):
         task + 1.0
+
+
+@pytest.mark.parametrize("task", ["obstacle", "via", "centre_out"])
+def test_a_misspelt_argument_is_one_of_the_task_that_was_called(task):
+    arm = jc.plants.TorqueArm()
+    first = {
+        "obstacle": ([0.1, 0.5], [0.2, 0.5]),
+        "via": ([0.1, 0.5], [[0.0, 0.5]], [0.2]),
+        "centre_out": (arm.at_rest(0.8, 1.5),),
+    }[task]
+    with pytest.raises(TypeError, match=rf"^{task}\(\) got an unexpected .* 'effrt'"):
+        getattr(jc.tasks, task)(arm, *first, effrt=0.5)

@@ -23,11 +23,9 @@ _INSTALLED = tuple(
         str(Path(__file__).parent),
     }
 )
-_CACHE: "weakref.WeakKeyDictionary[types.CodeType, Uses]" = weakref.WeakKeyDictionary()
-
-
 SELF, ITEM = "", "[]"  # in a path: a function's first argument, and an item of what comes before
 Way = tuple[str, ...]
+_CACHE: "weakref.WeakKeyDictionary[types.CodeType, Uses]" = weakref.WeakKeyDictionary()
 
 
 class Uses(NamedTuple):
@@ -45,10 +43,14 @@ class Uses(NamedTuple):
 @functools.cache
 def is_own(place: str) -> bool:
     """Tell whether code, given by its file or by its module's name, is no installed package's."""
-    if place.startswith("<frozen") or place.split(".")[0] in sys.stdlib_module_names:
+    path = Path(place)
+    # A file may have the name of a standard module.
+    module = "" if path.suffix == ".py" else place.split(".")[0]
+    if place.startswith("<frozen") or module in sys.stdlib_module_names:
         return False
-    installed = "site-packages" in place or "dist-packages" in place
-    return not installed and not place.startswith(_INSTALLED)
+    if not {"site-packages", "dist-packages"}.isdisjoint(path.parts):
+        return False
+    return not any(path.is_relative_to(installed) for installed in _INSTALLED)
 
 
 def reads(code: types.CodeType) -> Uses:

@@ -2,6 +2,7 @@
 
 import functools
 import types
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import jaxctrl as jc
+from jaxctrl._bytecode import is_own
 from jaxctrl._function import Function
 
 X0 = jnp.array([1.0, 0.0])
@@ -501,3 +503,12 @@ def test_only_containers_of_pythons_own_are_logs():
     assert len(set(keys)) == 4
     seen.w = 4.0
     assert Function(function).tree_flatten()[1] == keys[-1]
+
+
+def test_a_file_beside_the_package_is_the_users_whatever_its_name():
+    package = Path(jc.__file__).parent
+    for name in ("jaxctrl_study.py", "jaxctrl_thesis/arm.py", "my-site-packages/arm.py"):
+        assert is_own(str(package.parent / name))
+    assert is_own("queue.py") and is_own("<stdin>") and is_own("__main__")
+    installed = (str(package / "arm.py"), functools.__file__, np.__file__, "queue", "builtins")
+    assert not any(map(is_own, installed))

@@ -11,7 +11,9 @@ What a function itself writes to (a log that it appends to, a `nonlocal` counter
 is and is no part of the key.
 """
 
+import argparse
 import collections
+import contextlib
 import enum
 import functools
 import itertools
@@ -41,6 +43,9 @@ _PLAIN = (bool, int, str, bytes, type(None), type(...), range, np.dtype)
 _BY_TEXT = (float, complex)  # nan differs from itself, and 0.0 is -0.0
 _COUNTS = bool | int | float | str | None
 _LOGS = list | dict | set | bytearray | collections.deque
+# Containers that are no pytrees, or not where their class is derived from.
+_HOLDERS = dict | list | tuple | types.MappingProxyType | collections.deque | bytearray
+_NAMESPACES = (types.SimpleNamespace, argparse.Namespace)
 _RULES = (jax.custom_jvp, jax.custom_vjp)
 
 
@@ -185,11 +190,34 @@ class _Walk:
             return self._tree(value, name)
         if _is_object(type(value)):
             return self._object(value, name)
+        if isinstance(value, _HOLDERS) or (_is_own_class(type(value)) and _has_parts(value)):
+            return self._hidden(value, name)
         return self._same(value)
 
     def _same(self, value: Any) -> Recipe:
         self.key.append(_Same(value))
         return keep(value)
+
+    def _hidden(self, value: Any, name: str) -> Recipe:
+        """Look into what is not built anew, for the key alone: containers that are no pytrees."""
+        self.value(type(value), name)
+        with self._closed():
+            if isinstance(value, collections.deque):
+                self.value(value.maxlen, name)
+            if isinstance(value, dict | types.MappingProxyType):
+                self.value(dict(value), name)
+            elif isinstance(value, _HOLDERS):
+                self.value(list(value), name)
+            self.value(dict(_attributes(value)), name)
+        return keep(value)
+
+    @contextlib.contextmanager
+    def _closed(self):
+        """Look at things for the key alone, and forget after it that they were met."""
+        before = self.open, self.met
+        self.open, self.met = False, dict(self.met) if self.open else self.met
+        yield
+        self.open, self.met = before
 
     def _numbers(self, value: np.ndarray | np.generic) -> Recipe:
         if value.dtype.hasobject:
@@ -214,8 +242,14 @@ class _Walk:
     def _tree(self, value: Any, name: str) -> Recipe:
         try:
             leaves, treedef, kinds = _flatten(value)
-        except Exception:  # a dictionary whose keys have no order
-            return self._same(value)
+        except Exception:  # a dictionary, here or within, whose keys have no order
+            if type(value) is dict:
+                parts = (tuple(value), *value.values())
+                return self._made_of(value, _dictionary, parts, (name,) * len(parts))
+            if isinstance(value, dict):
+                return self._hidden(value, name)
+            leaves, treedef = jtu.tree_flatten(value, is_leaf=lambda node: node is not value)
+            kinds = [type(value)]
         self.alive.append(leaves)
         self.key.append(_Structure(treedef))
         self.classes(kinds)
@@ -237,17 +271,19 @@ class _Walk:
         self.key.append(_Same(value))
         if not _is_own_class(value):
             return keep(value)
-        was_open, self.open, met = self.open, False, self.met
-        self.met = dict(self.met) if was_open else self.met
-        for base in value.__mro__:
-            for name, member in vars(base).items() if _is_own_class(base) else ():
-                for wrapping in ("__func__", "fget", "method"):
-                    member = getattr(member, wrapping, member)
-                number = isinstance(member, bool | int | float | np.ndarray | jax.Array)
-                if isinstance(member, types.FunctionType) or (number and name[:2] != "__"):
-                    self.value(member, name)
-        self.open, self.met = was_open, met if was_open else self.met
+        with self._closed():
+            for base in filter(_is_own_class, value.__mro__):
+                for name, member in vars(base).items():
+                    self._member(name, member)
         return keep(value)
+
+    def _member(self, name: str, member: Any) -> None:
+        """Look at a member of a class."""
+        for wrapping in ("__func__", "fget", "method"):
+            member = getattr(member, wrapping, member)
+        number = isinstance(member, bool | int | float | np.ndarray | jax.Array)
+        if isinstance(member, types.FunctionType) or (number and name[:2] != "__"):
+            self.value(member, name)
 
     def _object(self, value: Any, name: str) -> Recipe:
         """Look at the attributes of a plain object."""
@@ -334,6 +370,14 @@ def _partial(function: Any, args: tuple, keywords: dict) -> functools.partial:
     return functools.partial(function, *args, **keywords)
 
 
+def _dictionary(keys: tuple, *values: Any) -> dict:
+    return dict(zip(keys, values, strict=True))
+
+
+def _has_parts(value: Any) -> bool:
+    return not isinstance(value, enum.Enum) and any(True for _ in _attributes(value))
+
+
 def _join(name: str, attribute: str) -> str:
     return f"{name}.{attribute}" if name else attribute
 
@@ -369,7 +413,7 @@ def _is_log(value: Any) -> bool:
 
 def _is_object(kind: type) -> bool:
     """Tell whether instances of a class are looked into: the user's plain objects."""
-    if kind is types.SimpleNamespace or kind in _RULES:
+    if kind in _NAMESPACES or kind in _RULES:
         return True
     plain = kind.__new__ is object.__new__ and not issubclass(kind, type | enum.Enum)
     return plain and _is_own_class(kind)

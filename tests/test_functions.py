@@ -1,5 +1,8 @@
 """User functions: what they close over has gradients, and is never served from a cache."""
 
+import argparse
+import collections
+import enum
 import functools
 import types
 from pathlib import Path
@@ -512,3 +515,57 @@ def test_a_file_beside_the_package_is_the_users_whatever_its_name():
     assert is_own("queue.py") and is_own("<stdin>") and is_own("__main__")
     installed = (str(package / "arm.py"), functools.__file__, np.__file__, "queue", "builtins")
     assert not any(map(is_own, installed))
+
+
+class Key(enum.Enum):
+    """Keys without an order."""
+
+    A = 1
+    B = 2
+
+
+class Dotted(dict):
+    """A dictionary whose items are attributes too."""
+
+    __getattr__ = dict.__getitem__
+
+
+class Space(types.SimpleNamespace):
+    """A namespace of the user's."""
+
+
+def containers(w):
+    """Yield containers that JAX does not know, with w in them."""
+    return {
+        "enumeration": {Key.A: w, Key.B: 2.0},
+        "mixed keys": {"a": w, 1: 2.0},
+        "within": [{"b": ({"a": w, 1: 2.0},)}],
+        "dotted": Dotted(w=w),
+        "namespace": types.SimpleNamespace(w=w),
+        "arguments": argparse.Namespace(w=w),
+        "own namespace": Space(w=[w]),
+        "deque": collections.deque([w], maxlen=3),
+        "proxy": types.MappingProxyType({"w": w}),
+    }
+
+
+@pytest.mark.parametrize("kind", containers(1.0))
+def test_containers_that_jax_does_not_know_are_compared_by_value(kind):
+    def static(w):
+        thing = containers(w)[kind]
+        return Function(lambda x: [x, thing]).tree_flatten()[1]
+
+    for one, two in ((1.0, 2.0), ("a", "b"), (np.ones(2), np.zeros(2))):
+        assert static(one) == static(one) and static(one) != static(two)
+
+
+@pytest.mark.parametrize("kind", ("enumeration", "mixed keys", "within", "arguments"))
+def test_arrays_in_dictionaries_without_an_order_are_leaves(kind):
+    thing = containers(THETA)[kind]
+    leaves, structure = jax.tree.flatten(Function(lambda: thing))
+    assert leaves == [THETA]
+    moved = jax.tree.unflatten(structure, [2 * THETA])()
+    while not isinstance(moved, jax.Array):
+        moved = moved if isinstance(moved, list | tuple | dict) else vars(moved)
+        moved = next(iter(moved.values())) if isinstance(moved, dict) else moved[0]
+    np.testing.assert_array_equal(moved, 2 * THETA)

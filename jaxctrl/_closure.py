@@ -11,8 +11,12 @@ What a function itself writes to (a log that it appends to, a `nonlocal` counter
 is and is no part of the key.
 """
 
+import argparse
+import collections
+import contextlib
 import enum
 import functools
+import itertools
 import sys
 import types
 from typing import Any, NamedTuple
@@ -22,7 +26,7 @@ import jax.core
 import jax.tree_util as jtu
 import numpy as np
 
-from ._bytecode import is_own, reads
+from ._bytecode import ITEM, SELF, Way, is_own, reads
 from ._recipe import (
     Recipe,
     keep,
@@ -37,6 +41,11 @@ from ._recipe import (
 
 _PLAIN = (bool, int, str, bytes, type(None), type(...), range, np.dtype)
 _BY_TEXT = (float, complex)  # nan differs from itself, and 0.0 is -0.0
+_COUNTS = bool | int | float | str | None
+_LOGS = list | dict | set | bytearray | collections.deque
+# Containers that are no pytrees, or not where their class is derived from.
+_HOLDERS = dict | list | tuple | types.MappingProxyType | collections.deque | bytearray
+_NAMESPACES = (types.SimpleNamespace, argparse.Namespace)
 _RULES = (jax.custom_jvp, jax.custom_vjp)
 
 
@@ -116,7 +125,8 @@ class _Walk:
         self.met: dict[int, Recipe] = {}
         self.alive: list[Any] = []  # so that no identity is used twice
         self.own = 0  # functions of the user's met so far
-        self.written: set[str] = set()
+        self.rebound: set[tuple[int, str]] = set()  # variables and attributes that code writes to
+        self.logs: set[int] = set()  # containers that code writes to
         self.attributes: frozenset[str] = frozenset()  # named by the code that is looked at
         self.open = True  # False within classes, whose functions cannot be given other arrays
 
@@ -158,7 +168,10 @@ class _Walk:
             return self._numbers(value)
         if isinstance(value, types.FunctionType):
             return self._function(value)
+        if id(value) in self.logs:
+            return self._same(value)
         if isinstance(value, types.MethodType):
+            self._writes(value.__func__, value.__self__)
             parts = (value.__func__, value.__self__)
             return self._made_of(value, types.MethodType, parts, ("", "self"))
         if type(value) is functools.partial:
@@ -177,11 +190,34 @@ class _Walk:
             return self._tree(value, name)
         if _is_object(type(value)):
             return self._object(value, name)
+        if isinstance(value, _HOLDERS) or (_is_own_class(type(value)) and _has_parts(value)):
+            return self._hidden(value, name)
         return self._same(value)
 
     def _same(self, value: Any) -> Recipe:
         self.key.append(_Same(value))
         return keep(value)
+
+    def _hidden(self, value: Any, name: str) -> Recipe:
+        """Look into what is not built anew, for the key alone: containers that are no pytrees."""
+        self.value(type(value), name)
+        with self._closed():
+            if isinstance(value, collections.deque):
+                self.value(value.maxlen, name)
+            if isinstance(value, dict | types.MappingProxyType):
+                self.value(dict(value), name)
+            elif isinstance(value, _HOLDERS):
+                self.value(list(value), name)
+            self.value(dict(_attributes(value)), name)
+        return keep(value)
+
+    @contextlib.contextmanager
+    def _closed(self):
+        """Look at things for the key alone, and forget after it that they were met."""
+        before = self.open, self.met
+        self.open, self.met = False, dict(self.met) if self.open else self.met
+        yield
+        self.open, self.met = before
 
     def _numbers(self, value: np.ndarray | np.generic) -> Recipe:
         if value.dtype.hasobject:
@@ -206,8 +242,14 @@ class _Walk:
     def _tree(self, value: Any, name: str) -> Recipe:
         try:
             leaves, treedef, kinds = _flatten(value)
-        except Exception:  # a dictionary whose keys have no order
-            return self._same(value)
+        except Exception:  # a dictionary, here or within, whose keys have no order
+            if type(value) is dict:
+                parts = (tuple(value), *value.values())
+                return self._made_of(value, _dictionary, parts, (name,) * len(parts))
+            if isinstance(value, dict):
+                return self._hidden(value, name)
+            leaves, treedef = jtu.tree_flatten(value, is_leaf=lambda node: node is not value)
+            kinds = [type(value)]
         self.alive.append(leaves)
         self.key.append(_Structure(treedef))
         self.classes(kinds)
@@ -221,7 +263,7 @@ class _Walk:
         if not is_own(getattr(value, "__file__", None) or value.__name__):
             return keep(value)
         names = [n for n in sorted(self.attributes) if n in vars(value)]
-        found = {n: self.value(vars(value)[n], _join(name, n)) for n in names}
+        found = {n: self._named(vars(value)[n], value, n, _join(name, n)) for n in names}
         return whole(value, found.values(), Recipe(make_module, (value, found)))
 
     def _class(self, value: type) -> Recipe:
@@ -229,17 +271,19 @@ class _Walk:
         self.key.append(_Same(value))
         if not _is_own_class(value):
             return keep(value)
-        was_open, self.open, met = self.open, False, self.met
-        self.met = dict(self.met) if was_open else self.met
-        for base in value.__mro__:
-            for name, member in vars(base).items() if _is_own_class(base) else ():
-                for wrapping in ("__func__", "fget", "method"):
-                    member = getattr(member, wrapping, member)
-                number = isinstance(member, bool | int | float | np.ndarray | jax.Array)
-                if isinstance(member, types.FunctionType) or (number and name[:2] != "__"):
-                    self.value(member, name)
-        self.open, self.met = was_open, met if was_open else self.met
+        with self._closed():
+            for base in filter(_is_own_class, value.__mro__):
+                for name, member in vars(base).items():
+                    self._member(name, member)
         return keep(value)
+
+    def _member(self, name: str, member: Any) -> None:
+        """Look at a member of a class."""
+        for wrapping in ("__func__", "fget", "method"):
+            member = getattr(member, wrapping, member)
+        number = isinstance(member, bool | int | float | np.ndarray | jax.Array)
+        if isinstance(member, types.FunctionType) or (number and name[:2] != "__"):
+            self.value(member, name)
 
     def _object(self, value: Any, name: str) -> Recipe:
         """Look at the attributes of a plain object."""
@@ -247,16 +291,37 @@ class _Walk:
         self.value(kind, name)
         attributes = dict(_attributes(value))
         self.key.append(tuple(attributes))
-        found = {n: self._named(v, n, _join(name, n)) for n, v in attributes.items()}
+        found = {n: self._named(v, value, n, _join(name, n)) for n, v in attributes.items()}
         return whole(value, found.values(), Recipe(make_object, (kind, found)))
 
-    def _named(self, value: Any, short: str, name: str) -> Recipe:
-        """Look at a value, unless the function itself writes to it."""
-        if short not in self.written or isinstance(value, jax.Array):
-            return self.value(value, name)
-        if isinstance(value, bool | int | float | str | type(None)):
-            return keep(value)
-        return self._same(value)
+    def _named(self, value: Any, holder: Any, short: str, name: str) -> Recipe:
+        """Look at what a variable or an attribute holds, unless the function counts in it."""
+        if (id(holder), short) in self.rebound:
+            if isinstance(value, _COUNTS):
+                return keep(value)
+            if isinstance(value, tuple) or _is_log(value):
+                return self._same(value)
+        return self.value(value, name)
+
+    def _writes(self, function: Any, owner: Any = None) -> None:
+        """Note what a function writes to, so far as it can be found; `owner` is that of a method.
+
+        Within classes nothing is: of their methods, those that set numbers need not be called.
+        """
+        if not self.open or not isinstance(function, types.FunctionType):
+            return
+        uses, module = reads(function.__code__), function.__globals__
+        cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+        for *way, name in uses.rebound:
+            holder = _find(tuple(way), module, cells, owner) if way else cells.get(name, module)
+            self.rebound.add((id(holder), name))
+            self.alive.append(holder)
+        for way in uses.changed:
+            names = tuple(itertools.takewhile(lambda name: name != ITEM, way))
+            log = _find(names, module, cells, owner)
+            if _is_log(log) and {ITEM}.issuperset(way[len(names) :]):
+                self.logs.add(id(log))
+                self.alive.append(log)
 
     def _function(self, value: types.FunctionType) -> Recipe:
         """Look at a function's closure, defaults, attributes and, if it is the user's, globals."""
@@ -265,10 +330,8 @@ class _Walk:
         uses = reads(code)
         self.own += own
         self.key.append(code)
-        before = self.written, self.attributes
-        if self.open:
-            self.written = self.written | uses.written
-        self.attributes = uses.attributes
+        self._writes(value)
+        before, self.attributes = self.attributes, uses.attributes
         cells, found = [], []
         for name, cell in zip(code.co_freevars, value.__closure__ or (), strict=True):
             part = self._cell(name, cell)
@@ -279,10 +342,10 @@ class _Walk:
         known = value.__globals__ if own else {}
         names = [n for n in uses.globals if n in known]
         self.key.append(tuple(names))
-        globals_ = {n: self._named(known[n], n, n) for n in names}
+        globals_ = {n: self._named(known[n], known, n, n) for n in names}
         extra = {n: v for n, v in vars(value).items() if own and n != "__wrapped__"}
-        extra = {n: self._named(v, n, n) for n, v in extra.items()}
-        self.written, self.attributes = before[0] | self.written, before[1]
+        extra = {n: self._named(v, value, n, n) for n, v in extra.items()}
+        self.attributes = before
         found += [*defaults, *keywords.values(), *globals_.values(), *extra.values()]
         about = (code, value.__globals__, value.__name__, value.__qualname__)
         recipe = Recipe(make_function, (about, cells, defaults, keywords, globals_, extra))
@@ -295,7 +358,7 @@ class _Walk:
         except ValueError:  # a name that has no value yet
             self.key.append("empty")
             return cell
-        recipe = self._named(content, name, name)
+        recipe = self._named(content, cell, name, name)
         return cell if recipe.make is None else recipe
 
 
@@ -305,6 +368,14 @@ def _itself(value: Any) -> Any:
 
 def _partial(function: Any, args: tuple, keywords: dict) -> functools.partial:
     return functools.partial(function, *args, **keywords)
+
+
+def _dictionary(keys: tuple, *values: Any) -> dict:
+    return dict(zip(keys, values, strict=True))
+
+
+def _has_parts(value: Any) -> bool:
+    return not isinstance(value, enum.Enum) and any(True for _ in _attributes(value))
 
 
 def _join(name: str, attribute: str) -> str:
@@ -321,9 +392,28 @@ def _attributes(value: Any):
     yield from getattr(value, "__dict__", {}).items()
 
 
+def _find(way: Way, module: dict, cells: dict[str, types.CellType], owner: Any) -> Any:
+    """Return the value to which a path leads, None where it is not known."""
+    root, *names = way
+    value = owner if root == SELF else module.get(root)
+    if root in cells:
+        try:
+            value = cells[root].cell_contents
+        except ValueError:  # a name that has no value yet
+            return None
+    for name in names:  # without running properties
+        value = dict(_attributes(value)).get(name)
+    return value
+
+
+def _is_log(value: Any) -> bool:
+    """Tell whether a value is a container of Python's own kinds; the user's are looked into."""
+    return isinstance(value, _LOGS) and not _is_own_class(type(value))
+
+
 def _is_object(kind: type) -> bool:
     """Tell whether instances of a class are looked into: the user's plain objects."""
-    if kind is types.SimpleNamespace or kind in _RULES:
+    if kind in _NAMESPACES or kind in _RULES:
         return True
     plain = kind.__new__ is object.__new__ and not issubclass(kind, type | enum.Enum)
     return plain and _is_own_class(kind)

@@ -1,7 +1,11 @@
 """User functions: what they close over has gradients, and is never served from a cache."""
 
+import argparse
+import collections
+import enum
 import functools
 import types
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -10,6 +14,7 @@ import numpy as np
 import pytest
 
 import jaxctrl as jc
+from jaxctrl._bytecode import is_own
 from jaxctrl._function import Function
 
 X0 = jnp.array([1.0, 0.0])
@@ -409,3 +414,158 @@ def test_a_global_that_a_network_names_is_seen(monkeypatch, way):
         monkeypatch.setitem(globals(), "gain", value)
         ends.append(jc.simulate(problem, jc.OpenLoop(jnp.zeros((8, 1))), X0).xs[-1, 0])
     np.testing.assert_allclose(ends, [1.2**8, 1.05**8], rtol=1e-12)
+
+
+chosen = 0
+offsets = [1.0, 1.0]
+
+
+def test_what_is_only_named_beside_a_write_is_still_compared(monkeypatch):
+    def spring(j):
+        return lambda x: jnp.zeros(2).at[j].add(x[j])
+
+    def spring_of_module(x):
+        return jnp.zeros(2).at[chosen].add(x[chosen])
+
+    def local(x):
+        offsets = []
+        offsets.append(x)
+        return outer(offsets[0])
+
+    def outer(x):
+        return x + jnp.array(offsets)
+
+    assert Function(spring(0)).tree_flatten()[1] != Function(spring(1)).tree_flatten()[1]
+    before = [Function(f).tree_flatten()[1] for f in (spring_of_module, local)]
+    monkeypatch.setitem(globals(), "chosen", 1)
+    monkeypatch.setitem(globals(), "offsets", [2.0, 1.0])
+    after = [Function(f).tree_flatten()[1] for f in (spring_of_module, local)]
+    assert before[0] != after[0] and before[1] != after[1]
+    running = lambda j: lambda x, u, t: u @ u + 5 * jnp.sum(spring(j)(x) ** 2)  # noqa: E731
+    dynamics = lambda x, u, t: jnp.array([x[1] - x[0], u[0]])  # noqa: E731
+    assert abs(solve(dynamics, running(0)).cost - solve(dynamics, running(1)).cost) > 1e-3
+
+
+class Logging:
+    """An object with a log and a counter."""
+
+    def __init__(self):
+        self.log, self.calls, self.gain = [], 0, 1.0
+
+    def push(self, x):
+        self.log.append(1)
+        self.calls += 1
+        return self.gain * x
+
+
+def test_logs_and_counters_are_left_alone():
+    logs, table, calls, thing = {"a": []}, {}, 0, Logging()
+
+    def function(x):
+        nonlocal calls
+        calls += 1
+        logs["a"].append(1)
+        table[calls] = 1
+        function.calls = calls  # pyright: ignore[reportFunctionMemberAccess]
+        return x
+
+    for f in (function, thing.push):
+        f(X0)
+        before = Function(f).tree_flatten()[1]
+        f(X0)
+        assert Function(f).tree_flatten()[1] == before
+    assert len(logs["a"]) == len(table) == calls == thing.calls == 2
+    before = Function(thing.push).tree_flatten()[1]
+    thing.gain = 2.0
+    assert Function(thing.push).tree_flatten()[1] != before
+
+
+class Model:
+    """An object whose methods are named like a list's."""
+
+    def __init__(self, w):
+        self.w = w
+
+    def update(self, x):
+        return self.w * x
+
+
+def test_only_containers_of_pythons_own_are_logs():
+    model, other, seen = Model(1.0), Model(1.0), Model(1.0)
+    module = types.ModuleType("settings")
+    module.__dict__.update(W=1.0, add=lambda x: x)
+
+    def function(x):
+        seen.w = 3.0
+        return model.update(x) + other.w + module.add(x) * module.W  # pyright: ignore
+
+    keys = [Function(function).tree_flatten()[1]]
+    for thing, name in ((model, "w"), (other, "w"), (module, "W")):
+        setattr(thing, name, 2.0)
+        keys.append(Function(function).tree_flatten()[1])
+    assert len(set(keys)) == 4
+    seen.w = 4.0
+    assert Function(function).tree_flatten()[1] == keys[-1]
+
+
+def test_a_file_beside_the_package_is_the_users_whatever_its_name():
+    package = Path(jc.__file__).parent
+    for name in ("jaxctrl_study.py", "jaxctrl_thesis/arm.py", "my-site-packages/arm.py"):
+        assert is_own(str(package.parent / name))
+    assert is_own("queue.py") and is_own("<stdin>") and is_own("__main__")
+    installed = (str(package / "arm.py"), functools.__file__, np.__file__, "queue", "builtins")
+    assert not any(map(is_own, installed))
+
+
+class Key(enum.Enum):
+    """Keys without an order."""
+
+    A = 1
+    B = 2
+
+
+class Dotted(dict):
+    """A dictionary whose items are attributes too."""
+
+    __getattr__ = dict.__getitem__
+
+
+class Space(types.SimpleNamespace):
+    """A namespace of the user's."""
+
+
+def containers(w):
+    """Yield containers that JAX does not know, with w in them."""
+    return {
+        "enumeration": {Key.A: w, Key.B: 2.0},
+        "mixed keys": {"a": w, 1: 2.0},
+        "within": [{"b": ({"a": w, 1: 2.0},)}],
+        "dotted": Dotted(w=w),
+        "namespace": types.SimpleNamespace(w=w),
+        "arguments": argparse.Namespace(w=w),
+        "own namespace": Space(w=[w]),
+        "deque": collections.deque([w], maxlen=3),
+        "proxy": types.MappingProxyType({"w": w}),
+    }
+
+
+@pytest.mark.parametrize("kind", containers(1.0))
+def test_containers_that_jax_does_not_know_are_compared_by_value(kind):
+    def static(w):
+        thing = containers(w)[kind]
+        return Function(lambda x: [x, thing]).tree_flatten()[1]
+
+    for one, two in ((1.0, 2.0), ("a", "b"), (np.ones(2), np.zeros(2))):
+        assert static(one) == static(one) and static(one) != static(two)
+
+
+@pytest.mark.parametrize("kind", ("enumeration", "mixed keys", "within", "arguments"))
+def test_arrays_in_dictionaries_without_an_order_are_leaves(kind):
+    thing = containers(THETA)[kind]
+    leaves, structure = jax.tree.flatten(Function(lambda: thing))
+    assert leaves == [THETA]
+    moved = jax.tree.unflatten(structure, [2 * THETA])()
+    while not isinstance(moved, jax.Array):
+        moved = moved if isinstance(moved, list | tuple | dict) else vars(moved)
+        moved = next(iter(moved.values())) if isinstance(moved, dict) else moved[0]
+    np.testing.assert_array_equal(moved, 2 * THETA)

@@ -11,13 +11,11 @@ What a function itself writes to (a log that it appends to, a `nonlocal` counter
 is and is no part of the key.
 """
 
-import argparse
 import collections
 import contextlib
 import enum
 import functools
 import itertools
-import sys
 import types
 from typing import Any, NamedTuple
 
@@ -26,7 +24,18 @@ import jax.core
 import jax.tree_util as jtu
 import numpy as np
 
-from ._bytecode import ITEM, SELF, Way, is_own, reads
+from ._bytecode import ITEM, is_own, reads
+from ._kinds import (
+    COUNTS,
+    DATA,
+    HOLDERS,
+    attributes,
+    find,
+    has_parts,
+    is_log,
+    is_object,
+    is_own_class,
+)
 from ._recipe import (
     Recipe,
     keep,
@@ -41,12 +50,6 @@ from ._recipe import (
 
 _PLAIN = (bool, int, str, bytes, type(None), type(...), range, np.dtype)
 _BY_TEXT = (float, complex)  # nan differs from itself, and 0.0 is -0.0
-_COUNTS = bool | int | float | str | None
-_LOGS = list | dict | set | bytearray | collections.deque
-# Containers that are no pytrees, or not where their class is derived from.
-_HOLDERS = dict | list | tuple | types.MappingProxyType | collections.deque | bytearray
-_NAMESPACES = (types.SimpleNamespace, argparse.Namespace)
-_RULES = (jax.custom_jvp, jax.custom_vjp)
 
 
 class Reading(NamedTuple):
@@ -90,7 +93,7 @@ class _Structure:
 def read(function: Any) -> Reading:
     """Return what a function, a bound method or a callable object depends on."""
     walk = _Walk()
-    if _is_object(type(function)):
+    if is_object(type(function)):
         function = function.__call__  # a bound method, whose code is looked at
     recipe = walk.value(function, "")
     return Reading(tuple(walk.key), walk.leaves, walk.names, recipe)
@@ -112,7 +115,7 @@ def _flatten(tree: Any) -> tuple[list, Any, list[type]]:
         return False
 
     leaves, treedef = jtu.tree_flatten(tree, is_leaf=visit)
-    return leaves, treedef, [kind for kind in kinds if _is_own_class(kind)]
+    return leaves, treedef, [kind for kind in kinds if is_own_class(kind)]
 
 
 class _Walk:
@@ -188,9 +191,9 @@ class _Walk:
             return keep(value)
         if not jtu.all_leaves([value]):
             return self._tree(value, name)
-        if _is_object(type(value)):
+        if is_object(type(value)):
             return self._object(value, name)
-        if isinstance(value, _HOLDERS) or (_is_own_class(type(value)) and _has_parts(value)):
+        if isinstance(value, HOLDERS) or (is_own_class(type(value)) and has_parts(value)):
             return self._hidden(value, name)
         return self._same(value)
 
@@ -206,9 +209,9 @@ class _Walk:
                 self.value(value.maxlen, name)
             if isinstance(value, dict | types.MappingProxyType):
                 self.value(dict(value), name)
-            elif isinstance(value, _HOLDERS):
+            elif isinstance(value, HOLDERS):
                 self.value(list(value), name)
-            self.value(dict(_attributes(value)), name)
+            self.value(dict(attributes(value)), name)
         return keep(value)
 
     @contextlib.contextmanager
@@ -267,39 +270,42 @@ class _Walk:
         return whole(value, found.values(), Recipe(make_module, (value, found)))
 
     def _class(self, value: type) -> Recipe:
-        """Look at the functions of a class, for the key alone."""
+        """Look at the functions and the data of a class, for the key alone."""
         self.key.append(_Same(value))
-        if not _is_own_class(value):
+        if not is_own_class(value):
             return keep(value)
         with self._closed():
-            for base in filter(_is_own_class, value.__mro__):
+            for base in filter(is_own_class, value.__mro__):
                 for name, member in vars(base).items():
                     self._member(name, member)
         return keep(value)
 
     def _member(self, name: str, member: Any) -> None:
         """Look at a member of a class."""
+        if isinstance(member, DATA):
+            if name[:2] != "__":
+                self.value(member, name)
+            return
         for wrapping in ("__func__", "fget", "method"):
             member = getattr(member, wrapping, member)
-        number = isinstance(member, bool | int | float | np.ndarray | jax.Array)
-        if isinstance(member, types.FunctionType) or (number and name[:2] != "__"):
+        if isinstance(member, types.FunctionType):
             self.value(member, name)
 
     def _object(self, value: Any, name: str) -> Recipe:
         """Look at the attributes of a plain object."""
         kind = type(value)
         self.value(kind, name)
-        attributes = dict(_attributes(value))
-        self.key.append(tuple(attributes))
-        found = {n: self._named(v, value, n, _join(name, n)) for n, v in attributes.items()}
+        own = dict(attributes(value))
+        self.key.append(tuple(own))
+        found = {n: self._named(v, value, n, _join(name, n)) for n, v in own.items()}
         return whole(value, found.values(), Recipe(make_object, (kind, found)))
 
     def _named(self, value: Any, holder: Any, short: str, name: str) -> Recipe:
         """Look at what a variable or an attribute holds, unless the function counts in it."""
         if (id(holder), short) in self.rebound:
-            if isinstance(value, _COUNTS):
+            if isinstance(value, COUNTS):
                 return keep(value)
-            if isinstance(value, tuple) or _is_log(value):
+            if isinstance(value, tuple) or is_log(value):
                 return self._same(value)
         return self.value(value, name)
 
@@ -313,13 +319,13 @@ class _Walk:
         uses, module = reads(function.__code__), function.__globals__
         cells = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
         for *way, name in uses.rebound:
-            holder = _find(tuple(way), module, cells, owner) if way else cells.get(name, module)
+            holder = find(tuple(way), module, cells, owner) if way else cells.get(name, module)
             self.rebound.add((id(holder), name))
             self.alive.append(holder)
         for way in uses.changed:
             names = tuple(itertools.takewhile(lambda name: name != ITEM, way))
-            log = _find(names, module, cells, owner)
-            if _is_log(log) and {ITEM}.issuperset(way[len(names) :]):
+            log = find(names, module, cells, owner)
+            if is_log(log) and {ITEM}.issuperset(way[len(names) :]):
                 self.logs.add(id(log))
                 self.alive.append(log)
 
@@ -374,51 +380,5 @@ def _dictionary(keys: tuple, *values: Any) -> dict:
     return dict(zip(keys, values, strict=True))
 
 
-def _has_parts(value: Any) -> bool:
-    return not isinstance(value, enum.Enum) and any(True for _ in _attributes(value))
-
-
 def _join(name: str, attribute: str) -> str:
     return f"{name}.{attribute}" if name else attribute
-
-
-def _attributes(value: Any):
-    """Yield the names and values of an object's attributes."""
-    for base in type(value).__mro__:
-        slots = vars(base).get("__slots__", ())
-        for name in (slots,) if isinstance(slots, str) else slots:
-            if name not in ("__dict__", "__weakref__") and hasattr(value, name):
-                yield name, getattr(value, name)
-    yield from getattr(value, "__dict__", {}).items()
-
-
-def _find(way: Way, module: dict, cells: dict[str, types.CellType], owner: Any) -> Any:
-    """Return the value to which a path leads, None where it is not known."""
-    root, *names = way
-    value = owner if root == SELF else module.get(root)
-    if root in cells:
-        try:
-            value = cells[root].cell_contents
-        except ValueError:  # a name that has no value yet
-            return None
-    for name in names:  # without running properties
-        value = dict(_attributes(value)).get(name)
-    return value
-
-
-def _is_log(value: Any) -> bool:
-    """Tell whether a value is a container of Python's own kinds; the user's are looked into."""
-    return isinstance(value, _LOGS) and not _is_own_class(type(value))
-
-
-def _is_object(kind: type) -> bool:
-    """Tell whether instances of a class are looked into: the user's plain objects."""
-    if kind in _NAMESPACES or kind in _RULES:
-        return True
-    plain = kind.__new__ is object.__new__ and not issubclass(kind, type | enum.Enum)
-    return plain and _is_own_class(kind)
-
-
-def _is_own_class(kind: type) -> bool:
-    module = sys.modules.get(kind.__module__)
-    return is_own(getattr(module, "__file__", None) or kind.__module__)

@@ -6,6 +6,7 @@ import enum
 import functools
 import types
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -569,3 +570,30 @@ def test_arrays_in_dictionaries_without_an_order_are_leaves(kind):
         moved = moved if isinstance(moved, list | tuple | dict) else vars(moved)
         moved = next(iter(moved.values())) if isinstance(moved, dict) else moved[0]
     np.testing.assert_array_equal(moved, 2 * THETA)
+
+
+class Priced(jc.AbstractRate):
+    """A cost with a constant of its class."""
+
+    prices = (1.0, 2.0)
+
+    def rate(self, plant, at):
+        prices: Any = self.prices
+        while not isinstance(prices[0], float):
+            prices = prices[0]
+        return prices[0] * at.x @ at.x + prices[1] * at.u @ at.u
+
+
+@pytest.mark.parametrize(
+    "wrap",
+    (tuple, list, np.array, lambda p: {0: p}, lambda p: ([p],), lambda p: Dotted({0: p})),
+    ids=("tuple", "list", "array", "dictionary", "nested", "dotted"),
+)
+def test_a_changed_constant_of_a_class_is_seen_by_the_next_solve(monkeypatch, wrap):
+    problem = jc.Problem(Sliding(), Priced(), **STEPS)
+    rollout = jc.OpenLoop(jnp.zeros((8, 1)))
+    costs = []
+    for prices in ((1.0, 2.0), (9.0, 2.0)):
+        monkeypatch.setattr(Priced, "prices", wrap(prices))
+        costs.append(float(jc.simulate(problem, rollout, X0).cost))
+    np.testing.assert_allclose(costs[1], 9 * costs[0], rtol=1e-12)

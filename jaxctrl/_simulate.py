@@ -84,8 +84,8 @@ def simulate(
     problem, controller, plant, noise, pulses = given = converted(
         (problem, controller, plant, noise, pulses)
     )
-    check_again(given)
     problem.check_single()
+    check_again(given)
     x0 = check_x0(problem, x0)
     belief = x0 if belief is None else check_x0(problem, belief, "belief")
     _check_controller(controller, problem)

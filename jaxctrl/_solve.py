@@ -77,8 +77,8 @@ def solve(
     fresh = not is_checked(problem)
     if fresh:
         problem = converted(problem)
+        problem.check_single()
         check_again(problem)
-    problem.check_single()
     start = check_x0(problem, x0)
     controls = roll(problem, us, start) if isinstance(us, AffinePolicy) else check_us(problem, us)
     given = problem

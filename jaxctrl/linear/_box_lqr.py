@@ -79,18 +79,7 @@ def box_lqr(
         unknown.any(), lambda: jnp.where(unknown, _pushed(box, sweeps), given), lambda: given
     )
     first = jnp.where(box.movable | (first != 0), first, -1.0)
-
-    # One more than twice the limit: if the sets cycle again, the gains are those of the last one.
-    def unsettled(iterate: _Iterate):
-        return ~iterate.settled & iterate.last.ok.all() & (iterate.count <= 2 * max_sweeps)
-
-    def body(iterate: _Iterate):
-        inside = (iterate.count == max_sweeps) & ~iterate.interior.done
-        last = (iterate.count == 2 * max_sweeps) & iterate.interior.settled
-        following = jnp.where(last, iterate.inner, iterate.following)
-        return _sweep(box, sweeps, iterate._replace(following=following), inside)
-
-    end = jax.lax.while_loop(unsettled, body, _start(box, first))
+    end = _search(box, sweeps, first, max_sweeps)
     last, point = end.last, end.interior
     dxs, dus, slope = select(end.settled | ~point.settled, last[:3], point[:3])
     # The law that leads to these controls on the model.
@@ -103,6 +92,22 @@ def box_lqr(
         last.ok.all(), last_true(~last.ok), nonfinite(model, last.finite), settled,
     )  # fmt: skip
     return sweep, jnp.where(settled, end.side, jnp.nan)
+
+
+def _search(box: Box, sweeps: Engine, first: Array, max_sweeps: int) -> _Iterate:
+    """Search for the held set from a first one; where the sets cycle, by an interior point."""
+
+    # One more than twice the limit: if the sets cycle again, the gains are those of the last one.
+    def unsettled(iterate: _Iterate):
+        return ~iterate.settled & iterate.last.ok.all() & (iterate.count <= 2 * max_sweeps)
+
+    def body(iterate: _Iterate):
+        inside = (iterate.count == max_sweeps) & ~iterate.interior.done
+        last = (iterate.count == 2 * max_sweeps) & iterate.interior.settled
+        following = jnp.where(last, iterate.inner, iterate.following)
+        return _sweep(box, sweeps, iterate._replace(following=following), inside)
+
+    return jax.lax.while_loop(unsettled, body, _start(box, first))
 
 
 def _start(box: Box, side: Array) -> _Iterate:

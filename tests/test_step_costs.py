@@ -300,8 +300,8 @@ def _both_forms(arm, xs, us, dt=0.01):
 
 
 def test_a_muscle_switched_on_from_rest_changes_its_torque_but_no_derivative_of_it():
-    """A muscle's force is flat at no activation: one step on, then held, is free of charge."""
-    arm = jc.plants.MuscleArm()
+    """Brown's force is flat at no activation: one step on, then held, is free of charge."""
+    arm = jc.plants.MuscleArm(active_state="brown")
     x0 = arm.at_rest(0.785, 1.571)
     problem = jc.Problem(arm, jc.QuadraticCost(), num_steps=3, dt=0.01)
     rollout = jax.jit(lambda x0, us: problem.rollout(x0, us))
@@ -319,7 +319,7 @@ def test_a_muscle_switched_on_from_rest_changes_its_torque_but_no_derivative_of_
 
 @pytest.mark.slow
 def test_an_optimum_of_the_derivative_form_exploits_it_and_one_of_differences_cannot():
-    arm = jc.plants.MuscleArm()
+    arm = jc.plants.MuscleArm(active_state="brown")
     x0, target = arm.at_rest(0.785, 1.571), jnp.array([-0.1, 0.53])
     task = jc.tasks.reach(arm, target, 0.5, effort=1e-5)
     ratios = {}

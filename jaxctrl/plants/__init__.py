@@ -13,6 +13,7 @@ from ._field import AbstractField, Channel, ConstantForce, Curl, InField
 from ._free_hand import FreeHand, PolynomialJerk
 from ._muscle import (
     Muscles,
+    activation_of_state,
     activation_rate,
     active_state,
     control_of_rate,
@@ -21,15 +22,17 @@ from ._muscle import (
     passive_force,
     tension,
 )
-from ._muscle_arm import MUSCLES, MuscleArm, MusculoskeletalArm
+from ._muscle_arm import MUSCLES, OPTIMAL_LENGTH, MuscleArm, MusculoskeletalArm
 from ._paths import AbstractPaths, CosinePaths
 from ._pendulum import Pendulum
 from ._quadrotor import PlanarQuadrotor
 from ._rate import RateControlled
 from ._skeleton import AbstractSkeleton, TwoLinkArm
+from ._statics import endpoint_stiffness, isometric_torque, joint_stiffness
 
 __all__ = [
     "MUSCLES",
+    "OPTIMAL_LENGTH",
     "AbstractField",
     "AbstractPaths",
     "AbstractSkeleton",
@@ -53,11 +56,15 @@ __all__ = [
     "RateControlled",
     "TorqueArm",
     "TwoLinkArm",
+    "activation_of_state",
     "activation_rate",
     "active_state",
     "control_of_rate",
+    "endpoint_stiffness",
     "force_length",
     "force_velocity",
+    "isometric_torque",
+    "joint_stiffness",
     "passive_force",
     "tension",
 ]

@@ -7,13 +7,18 @@ Li & Todorov (2004) and Li (2006, section 3.1) use them. Length l is in units of
 L0, velocity v in L0/s (positive when the muscle lengthens), activation a is between 0 and 1, and
 forces are fractions of the peak isometric force F0. All functions work elementwise.
 
-Full activation at l = 1 gives only half of F0, and next to nothing at l = 0.6: in the model of
-Brown, Cheng & Loeb a = 1 is the stimulation frequency of half the maximal force. The curves hold
-for 0.4 <= l <= 1.9; N_f changes sign at l = 2.03, and beyond it the tension is NaN.
+How the active state A grows with the activation is a choice of three (`active_state`). All give
+about half of F0 for full activation at l = 1: in the model of Brown, Cheng & Loeb a = 1 is the
+stimulation frequency of half the maximal force. The curves hold for 0.4 <= l <= 1.9; in "brown"
+full activation gives next to nothing at l = 0.6, and beyond l = 2.03, where N_f changes sign, the
+tension is NaN.
 
 Tension is once, not twice, continuously differentiable: F_L'' diverges at l = 1, F_V'' jumps at
 v = 0, and the rate of activation has a kink at u = a. All derivatives returned are finite there.
 """
+
+import functools
+from typing import Literal, get_args
 
 import equinox as eqx
 import jax
@@ -29,7 +34,11 @@ DEACTIVATION_TIME = 0.066
 SPECIFIC_TENSION = 31.8
 """Peak force per cross-section [N/cm^2] (Brown, Cheng & Loeb 1999; Van Wouwe et al. 2022)."""
 SMALLEST_ACTIVATION = 1e-9
-"""Below it the active state is flat, which keeps derivatives finite; our choice."""
+"""Below it Brown's active state is flat, which keeps derivatives finite; our choice."""
+FULL_ACTIVE_STATE = 0.505
+"""Active state of full activation at the optimal length, A(1, 1) of Brown, Cheng & Loeb (1999)."""
+Curve = Literal["linear", "brown", "brown-fixed"]
+"""How the active state grows with the activation; see `active_state`."""
 
 
 def activation_rate(
@@ -77,16 +86,78 @@ def _power(x, y):
     return jnp.exp(y * jnp.log(x))
 
 
-def active_state(a: Float[Array, "*n"], l: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def as_curve(active_state: str) -> Curve:
+    """Return the name of a curve; raises ValueError for another word."""
+    if active_state not in get_args(Curve):
+        raise ValueError(
+            f"active_state: one of {list(get_args(Curve))} is wanted, got {active_state!r}"
+        )
+    return active_state  # pyright: ignore[reportReturnType]
+
+
+def _exponent(l, curve: Curve):
+    return 2.11 + 4.16 * (1 / l - 1) if curve == "brown" else jnp.full_like(l, 2.11)
+
+
+def active_state(
+    a: Float[Array, "*n"], l: Float[Array, "*n"], curve: Curve = "linear"
+) -> Float[Array, "*n"]:
     """Return the active state A(a, l), a fraction between 0 and 1, for activation a and length l.
 
-    A = 1 - exp(-(a/(0.56 N_f))^N_f),  N_f = 2.11 + 4.16 (1/l - 1)     (Brown, Cheng & Loeb 1999)
+    "linear"        A = 0.505 a
+    "brown"         A = 1 - exp(-(a/(0.56 N_f))^N_f),  N_f = 2.11 + 4.16 (1/l - 1)
+    "brown-fixed"   the same with N_f = 2.11, its value at l = 1
 
-    An activation below `SMALLEST_ACTIVATION` counts as that.
+    "brown" is the curve of Brown, Cheng & Loeb (1999), which Li & Todorov (2004) use. With the
+    lengths of `MuscleArm` three of six muscles then work at exponents of 2.5 to 3.8, the price u^2
+    of a force grows more slowly than the force, and optimal movements are bursts with coasting
+    between them. "linear" is our choice, and the default: with it movements are smooth, as Li's
+    (2006) are, and 0.505, Brown's value at a = l = 1, gives the controls and speeds on the thesis's
+    axes (docs/design.md has the evidence).
+
+    Arguments:
+        a, l: activation and length [L0], of any shapes that broadcast. In Brown's curves an
+            activation below `SMALLEST_ACTIVATION` counts as that.
+        curve: one of the three.
+
+    Raises ValueError for another word as `curve`.
     """
-    exponent = 2.11 + 4.16 * (1 / l - 1)
+    a, l = _floats(a, l)
+    if as_curve(curve) == "linear":
+        return FULL_ACTIVE_STATE * a
+    exponent = _exponent(l, curve)
     a = jnp.where(a > SMALLEST_ACTIVATION, a, SMALLEST_ACTIVATION)
     return -jnp.expm1(-_power(a / (0.56 * exponent), exponent))
+
+
+def activation_of_state(
+    A: Float[Array, "*n"], l: Float[Array, "*n"], curve: Curve = "linear"
+) -> Float[Array, "*n"]:
+    """Return the activation a whose active state is A at length l: the inverse of `active_state`.
+
+    "linear"    a = A/0.505;    Brown's    a = 0.56 N_f (-log(1 - A))^(1/N_f)
+
+    a is within [0, 1] exactly when A is within [0, active_state(1, l, curve)].
+
+    Arguments:
+        A, l: active state, at least 0 and below 1, and length [L0], of any shapes that broadcast.
+        curve: as in `active_state`.
+
+    Raises ValueError for another word as `curve`.
+    """
+    A, l = _floats(A, l)
+    if as_curve(curve) == "linear":
+        return A / FULL_ACTIVE_STATE
+    exponent = _exponent(l, curve)
+    # The slope at A = 0 is infinite; there the activation is SMALLEST_ACTIVATION and flat.
+    least = active_state(jnp.full_like(l, SMALLEST_ACTIVATION), l, curve)
+    rate = -jnp.log1p(-jnp.where(least < A, A, least))
+    return jnp.where(least < A, 0.56 * exponent * _power(rate, 1 / exponent), SMALLEST_ACTIVATION)
+
+
+def _floats(*numbers):
+    dtype = jnp.result_type(*numbers, float)
+    return jnp.broadcast_arrays(*(jnp.asarray(z, dtype) for z in numbers))
 
 
 def force_length(l: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -131,7 +202,7 @@ def passive_force(l: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def tension(
-    a: Float[Array, "*n"], l: Float[Array, "*n"], v: Float[Array, "*n"]
+    a: Float[Array, "*n"], l: Float[Array, "*n"], v: Float[Array, "*n"], curve: Curve = "linear"
 ) -> Float[Array, "*n"]:
     """Return the tension as a fraction of the peak isometric force, T/F0.
 
@@ -139,28 +210,31 @@ def tension(
 
     Arguments:
         a, l, v: activation, length [L0] and velocity [L0/s], of any shapes that broadcast.
+        curve: of the active state, as in `active_state`.
+
+    Raises ValueError for another word as `curve`.
     """
-    dtype = jnp.result_type(a, l, v, float)
-    return _tension(*jnp.broadcast_arrays(*(jnp.asarray(z, dtype) for z in (a, l, v))))
+    return _tension(as_curve(curve), *_floats(a, l, v))
 
 
-def _product(a, l, v):
-    return active_state(a, l) * (force_length(l) * force_velocity(l, v) + passive_force(l))
+def _product(curve, a, l, v):
+    factor = force_length(l) * force_velocity(l, v) + passive_force(l)
+    return active_state(a, l, curve) * factor
 
 
-@jax.custom_jvp
-def _tension(a, l, v):
-    return _product(a, l, v)
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _tension(curve, a, l, v):
+    return _product(curve, a, l, v)
 
 
 @_tension.defjvp
-def _tension_jvp(primals, tangents):
+def _tension_jvp(curve, primals, tangents):
     """Collect the three partial derivatives once, elementwise, before any tangent is pushed.
 
     The result is that of plain differentiation to all orders; a Jacobian, which pushes one tangent
     for every state and control, takes half the time on the muscle arm.
     """
-    value, pull = jax.vjp(_product, *primals)
+    value, pull = jax.vjp(functools.partial(_product, curve), *primals)
     by_a, by_l, by_v = pull(jnp.ones_like(value))
     return value, by_a * tangents[0] + by_l * tangents[1] + by_v * tangents[2]
 
@@ -174,11 +248,15 @@ class Muscles(eqx.Module):
         pcsa: physiological cross-sections [cm^2], shape (m,).
         specific_tension: peak force per cross-section [N/cm^2].
         activation_time, deactivation_time: t_a and t_d [s].
+        active_state: how the force grows with the activation: "linear", "brown" or "brown-fixed";
+            see the function `active_state`.
 
-    Raises ValueError, naming the argument, for numbers that are not positive, or a wrong shape.
+    Raises ValueError, naming the argument, for numbers that are not positive, a wrong shape, or
+    another word for `active_state`.
     """
 
     m: int = eqx.field(static=True)
+    active_state: Curve = eqx.field(static=True)
     pcsa: Float[Array, " m"]
     specific_tension: Float[Array, ""]
     activation_time: Float[Array, ""]
@@ -191,10 +269,11 @@ class Muscles(eqx.Module):
         specific_tension: ArrayLike = SPECIFIC_TENSION,
         activation_time: ArrayLike = ACTIVATION_TIME,
         deactivation_time: ArrayLike = DEACTIVATION_TIME,
+        active_state: Curve = "linear",
     ):
         if jnp.ndim(pcsa) != 1:
             raise ValueError(f"pcsa: shape {jnp.shape(pcsa)}, wanted (m,), one for each muscle")
-        self.m = jnp.size(pcsa)
+        self.m, self.active_state = jnp.size(pcsa), as_curve(active_state)
         self.pcsa = positive("pcsa", pcsa, (self.m,))
         self.specific_tension = positive("specific_tension", specific_tension)
         self.activation_time = positive("activation_time", activation_time)
@@ -212,7 +291,7 @@ class Muscles(eqx.Module):
 
         Each of shape (m,); see the function `tension`.
         """
-        return self.peak_force * tension(a, l, v)
+        return self.peak_force * tension(a, l, v, self.active_state)
 
     def activation_rate(self, a: Float[Array, " m"], u: Float[Array, " m"]) -> Float[Array, " m"]:
         """Return da/dt [1/s], shape (m,), for activations and excitations between 0 and 1, (m,)."""

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from .._types import Bounds, as_bounds
-from ._muscle import ACTIVATION_TIME, DEACTIVATION_TIME, SPECIFIC_TENSION, Muscles
+from ._muscle import ACTIVATION_TIME, DEACTIVATION_TIME, SPECIFIC_TENSION, Curve, Muscles
 from ._parameters import known, parameter, radians, state_part
 from ._paths import AbstractPaths, CosinePaths
 from ._skeleton import AbstractSkeletalArm, AbstractSkeleton, TwoLinkArm
@@ -24,6 +24,12 @@ SHORTEST = np.array([0.60, 0.80, 0.70, 0.70, 0.60, 0.85])
 """Shortest lengths [L0] (Li & Todorov 2004)."""
 LONGEST = np.array([1.10, 1.25, 1.20, 1.10, 1.10, 1.20])
 """Longest lengths [L0] (Li & Todorov 2004; EX as Van Wouwe, Ting & De Groote 2022 have it)."""
+OPTIMAL_LENGTH = np.array([0.111, 0.083, 0.107, 0.137, 0.116, 0.134])
+"""Optimal fibre lengths [m] of the groups (Holzbaur, Murray & Delp 2005, their means weighted by
+peak force): EF short biceps, brachialis, brachioradialis (13.2, 8.6, 17.3 cm; 436, 987, 261 N), EX
+lateral triceps, anconeus (11.4, 2.7 cm; 624, 350 N), SF anterior deltoid, coracobrachialis,
+clavicular pectoralis (9.8, 9.3, 14.4 cm; 1143, 243, 364 N), SX posterior deltoid, BF long biceps,
+BX long triceps."""
 ARM_FREQUENCY = 1.9
 """c in the arms' cos(c q) (Van Wouwe, Ting & De Groote 2022)."""
 
@@ -178,8 +184,8 @@ class MuscleArm(AbstractMusculoskeletalArm):
     State x = (shoulder, elbow [rad], their rates [rad/s], activations), shape (10,); control u, the
     muscles' excitations between 0 and 1, shape (6,). Lengths are in units of the optimal length
     L0 = 1/kappa, velocities in L0/s. kappa and l0 are such that each muscle runs through exactly
-    its range of lengths while the joints go from 0 to pi; with constant arms (beta = 0) the same
-    rule is our choice. Tension: see `tension`, and there what to know about its derivatives.
+    its range of lengths while the joints go from 0 to pi, or follow from `optimal_length`; see
+    `CosinePaths`. Tension: see `tension`, and there what to know about its derivatives.
 
     Arguments:
         arms: "cosine" (Van Wouwe, Ting & De Groote 2022) or "constant" (Katayama & Kawato 1993):
@@ -189,15 +195,19 @@ class MuscleArm(AbstractMusculoskeletalArm):
         pcsa: cross-sections [cm^2], scalar or (6,).
         specific_tension: peak force per cross-section [N/cm^2].
         shortest, longest: range of lengths [L0], scalars or (6,).
+        optimal_length: L0 [m], scalar or (6,), such as those of anatomy, `OPTIMAL_LENGTH`; None for
+            the range's, with which the shoulder's muscles are too long (see docs/design.md).
         activation_time, deactivation_time: t_a and t_d [s].
+        active_state: how force grows with the activation: "linear", "brown" or "brown-fixed"; see
+            the function `active_state`.
         control_bounds: (lower, upper), scalars or of shape (6,), or None.
         nominal_control: where an optimisation starts, scalar or (6,); 0.05 is our choice: without
             any activation the gradient at rest is exactly zero.
         skeleton: m2, l1, l2, s2, I1, I2, friction, as `TwoLinkArm` takes them.
 
     Raises ValueError, naming the argument, for numbers that are not positive, a wrong shape, a
-    longest length not above the shortest, a muscle without any moment arm, another word for `arms`,
-    or what `TwoLinkArm` refuses.
+    longest length not above the shortest, a muscle without any moment arm, another word for `arms`
+    or `active_state`, or what `TwoLinkArm` refuses.
     """
 
     skeleton: TwoLinkArm
@@ -217,8 +227,10 @@ class MuscleArm(AbstractMusculoskeletalArm):
         specific_tension: ArrayLike = SPECIFIC_TENSION,
         shortest: ArrayLike = SHORTEST,
         longest: ArrayLike = LONGEST,
+        optimal_length: ArrayLike | None = None,
         activation_time: ArrayLike = ACTIVATION_TIME,
         deactivation_time: ArrayLike = DEACTIVATION_TIME,
+        active_state: Curve = "linear",
         control_bounds: tuple[ArrayLike, ArrayLike] | None = (0.0, 1.0),
         nominal_control: ArrayLike = 0.05,
         **skeleton: ArrayLike,
@@ -233,12 +245,14 @@ class MuscleArm(AbstractMusculoskeletalArm):
             arm_frequency=arm_frequency,
             shortest=shortest,
             longest=longest,
+            optimal_length=optimal_length,
         )
         self.muscles = Muscles(
             parameter("pcsa", pcsa, (6,)),
             specific_tension=specific_tension,
             activation_time=activation_time,
             deactivation_time=deactivation_time,
+            active_state=active_state,
         )
         self.control_bounds = as_bounds(control_bounds, (6,))
         self.nominal_control = parameter("nominal_control", nominal_control, (6,))

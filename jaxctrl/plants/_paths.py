@@ -49,12 +49,14 @@ class CosinePaths(AbstractPaths):
 
     L0 and l0 are such that each muscle runs through exactly its range of lengths while the joints
     go from 0 to pi (Van Wouwe, Ting & De Groote 2022); with constant arms (beta = 0) the same rule
-    is our choice.
+    is our choice. Or L0 is given: then the middle of the range stays where it is, and its width
+    follows.
 
     Arguments:
         alpha, beta: coefficients of the moment arms [m], shape (n, m).
-        frequency: c.
+        arm_frequency: c.
         shortest, longest: range of lengths [L0], scalars or (m,).
+        optimal_length: L0 [m], scalar or (m,), or None: that of the range.
 
     Raises ValueError, naming the argument, for a wrong shape, numbers that are not positive, a
     longest length not above the shortest, or a muscle without any moment arm.
@@ -67,6 +69,7 @@ class CosinePaths(AbstractPaths):
     arm_frequency: Float[Array, ""]
     shortest: Float[Array, " m"]
     longest: Float[Array, " m"]
+    given_length: Float[Array, " m"] | None
 
     def __init__(
         self,
@@ -76,6 +79,7 @@ class CosinePaths(AbstractPaths):
         arm_frequency: ArrayLike,
         shortest: ArrayLike,
         longest: ArrayLike,
+        optimal_length: ArrayLike | None = None,
     ):
         if jnp.ndim(alpha) != 2:
             raise ValueError(f"alpha: shape {jnp.shape(alpha)}, wanted (n, m), joints and muscles")
@@ -85,6 +89,9 @@ class CosinePaths(AbstractPaths):
         self.arm_frequency = positive("arm_frequency", arm_frequency)
         self.shortest = positive("shortest", shortest, (self.m,))
         self.longest = positive("longest", longest, (self.m,))
+        self.given_length = None
+        if optimal_length is not None:
+            self.given_length = positive("optimal_length", optimal_length, (self.m,))
         low, high = known(shortest), known(longest)
         if low is not None and high is not None and not (high > low).all():
             raise ValueError(f"longest: above shortest is wanted, got {longest} and {shortest}")
@@ -105,12 +112,16 @@ class CosinePaths(AbstractPaths):
 
     @property
     def optimal_length(self) -> Float[Array, " m"]:
-        """L0 = |E|/(longest - shortest) [m], shape (m,)."""
+        """L0 [m], shape (m,): as given, or |E|/(longest - shortest)."""
+        if self.given_length is not None:
+            return self.given_length
         return jnp.abs(self.excursion) / (self.longest - self.shortest)
 
     @property
     def length_at_zero(self) -> Float[Array, " m"]:
         """Lengths l0 at q = 0 [L0], shape (m,): the flexors' longest, the extensors' shortest."""
+        if self.given_length is not None:
+            return 0.5 * (self.shortest + self.longest + self.excursion / self.given_length)
         return jnp.where(self.excursion > 0, self.longest, self.shortest)
 
     def lengths(self, q: Float[Array, " n"]) -> Float[Array, " m"]:

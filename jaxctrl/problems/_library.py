@@ -225,16 +225,27 @@ def torque_arm() -> Posed:
     return _held(problem, arm.at_rest(shoulder=1.5, elbow=1.5), 0.0)
 
 
+def _muscle_arm(arm: plants.MuscleArm) -> Posed:
+    problem = tasks.posture(arm, jnp.array([1.0, 1.5]), 0.5, num_steps=50)
+    return _held(problem, arm.at_rest(shoulder=1.5, elbow=1.5), arm.nominal_control)
+
+
 def muscle_arm() -> Posed:
     """The movement of torque-arm by six muscles.
 
     The plant is jc.plants.MuscleArm, 0 <= u <= 1; cost and grid as torque-arm's; from rest without
-    activation and u = 0.05 for each muscle. It has several optima, within 6e-4 of one another, and
-    from this start both solvers end in one that is not the best.
+    activation and u = 0.05 for each muscle. It has several optima, within 2e-5 of one another.
     """
-    arm = plants.MuscleArm()
-    problem = tasks.posture(arm, jnp.array([1.0, 1.5]), 0.5, num_steps=50)
-    return _held(problem, arm.at_rest(shoulder=1.5, elbow=1.5), arm.nominal_control)
+    return _muscle_arm(plants.MuscleArm())
+
+
+def muscle_arm_brown() -> Posed:
+    """As muscle-arm, with the active state of Brown, Cheng & Loeb (1999).
+
+    The plant is jc.plants.MuscleArm(active_state="brown"). It has several optima, within 6e-4 of
+    one another, and from this start both solvers end in one that is not the best.
+    """
+    return _muscle_arm(plants.MuscleArm(active_state="brown"))
 
 
 def _chain(n: int) -> Callable[[], Posed]:
@@ -281,6 +292,7 @@ LIBRARY: dict[str, tuple[str, Callable[[], Posed]]] = {
     ),
     "torque-arm": (f"{LI}, eq. 4.20", torque_arm),
     "muscle-arm": (f"{LI}, eq. 4.20", muscle_arm),
+    "muscle-arm-brown": (f"{LI}, eq. 4.20", muscle_arm_brown),
     "chain-2": (OURS, _chain(2)),
     "chain-4": (OURS, _chain(4)),
     "chain-8": (OURS, _chain(8)),

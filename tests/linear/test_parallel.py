@@ -109,7 +109,7 @@ def test_what_the_parallel_sweep_cannot_do_ends_as_the_sequential_one(kind):
     assert int(got.nonfinite) == (2 if kind == "not finite" else -1)
 
 
-@pytest.mark.parametrize("name", ["pendulum", "muscle arm, obstacle"])
+@pytest.mark.parametrize("name", ["pendulum", "muscle arm, via"])
 def test_both_sweeps_agree_on_the_packages_models(name):
     model = local_model(name)
     for damping in (0.0, 0.1):
@@ -123,7 +123,11 @@ def test_both_sweeps_agree_on_every_model(name):
     # Of eight links the sequential sweep itself is known to 1.3e-9 (against long doubles).
     tolerance = 5e-9 if "chain of 8" in name else 1e-9
     for damping in (0.0, 0.1):
-        assert_close(unaided(model, damping), sequential(model, damping), tolerance)
+        wanted = sequential(model, damping)
+        if not wanted.ok:  # the obstacle's cost is not convex along the nominal movement
+            assert "obstacle" in name and damping == 0 and not unaided(model, damping).ok
+            continue
+        assert_close(unaided(model, damping), wanted, tolerance)
 
 
 def test_sweeps_agree_over_a_long_unstable_horizon():
@@ -173,7 +177,7 @@ def test_lanes_of_a_batch_do_not_disturb_one_another():
 
 
 def test_float32_is_as_exact_as_the_sequential_sweep():
-    model = jax.tree.map(lambda a: a.astype(jnp.float32), local_model("muscle arm, obstacle"))
+    model = jax.tree.map(lambda a: a.astype(jnp.float32), local_model("muscle arm, via"))
     exact = sequential(jax.tree.map(lambda a: a.astype(jnp.float64), model), 0.0)
     none = jnp.zeros_like(model.lu)
     for name in ("k", "K"):

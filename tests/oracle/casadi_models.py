@@ -101,7 +101,7 @@ def torque_arm() -> Model:
     return euler(q, dq, u, M, u - resistance, hand)
 
 
-def muscle_arm() -> Model:
+def muscle_arm(active_state: str = "linear") -> Model:
     """Return the two-link arm moved by six muscles with cosine moment arms."""
     q, dq, a, u = (ca.SX.sym(name, n) for name, n in (("q", 2), ("dq", 2), ("a", 6), ("u", 6)))
     M, resistance, hand = _arm(q, dq)
@@ -110,7 +110,7 @@ def muscle_arm() -> Model:
     metres = length * _optimal_lengths()
     arms = -ca.jacobian(metres, q).T
     peak = 31.8 * np.array([18.0, 14.0, 22.0, 12.0, 5.0, 10.0])
-    pull = peak * _tension(a, length, ca.jtimes(length, q, dq))
+    pull = peak * _tension(active_state, a, length, ca.jtimes(length, q, dq))
     rise = u > a
     rate = (u - a) / ca.if_else(rise, 0.066 + u * (0.050 - 0.066), 0.066)
     return euler(q, dq, u, M, arms @ pull - resistance, hand, (a, rate))
@@ -143,10 +143,17 @@ def _muscle_lengths(q: ca.SX) -> ca.SX:
     return start - wound / _optimal_lengths()
 
 
-def _tension(a: ca.SX, l: ca.SX, v: ca.SX) -> ca.SX:
+def _active(curve: str, a: ca.SX, l: ca.SX) -> ca.SX:
+    """Return the active state for activation and length [L0], elementwise."""
+    if curve == "linear":
+        return 0.505 * a
+    n_f = 2.11 + 4.16 * (1 / l - 1) if curve == "brown" else 2.11
+    return 1 - ca.exp(-((ca.fmax(a, 1e-9) / (0.56 * n_f)) ** n_f))
+
+
+def _tension(curve: str, a: ca.SX, l: ca.SX, v: ca.SX) -> ca.SX:
     """Return T/F0 for activation, length [L0] and velocity [L0/s], elementwise."""
-    n_f = 2.11 + 4.16 * (1 / l - 1)
-    active = 1 - ca.exp(-((ca.fmax(a, 1e-9) / (0.56 * n_f)) ** n_f))
+    active = _active(curve, a, l)
     by_length = ca.exp(-(ca.fabs((l**1.93 - 1) / 1.03) ** 1.87))
     shortening = (5.72 + v) / (5.72 - (1.38 + 2.09 * l) * v)
     lengthening = (0.62 - v * (-3.12 + 4.21 * l - 2.67 * l**2)) / (0.62 + v)

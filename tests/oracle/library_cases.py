@@ -126,10 +126,10 @@ def torque_arm() -> Discretised:
     return _costed(models.torque_arm(), posture_cost([1.0, 1.5]), [1.5, 1.5, 0, 0], 0.01)
 
 
-def muscle_arm() -> Discretised:
+def muscle_arm(active_state: str) -> Discretised:
     """The muscle arm's posture."""
     x0 = [1.5, 1.5] + 8 * [0.0]
-    return _costed(models.muscle_arm(), posture_cost([1.0, 1.5]), x0, 0.01, (0.0, 1.0))
+    return _costed(models.muscle_arm(active_state), posture_cost([1.0, 1.5]), x0, 0.01, (0.0, 1.0))
 
 
 def chain(n: int) -> Discretised:
@@ -150,7 +150,8 @@ LIBRARY = {
     "car-parking": car_parking,
     "planar-quadrotor": planar_quadrotor,
     "torque-arm": torque_arm,
-    "muscle-arm": muscle_arm,
+    "muscle-arm": partial(muscle_arm, "linear"),
+    "muscle-arm-brown": partial(muscle_arm, "brown"),
     "chain-2": partial(chain, 2),
     "chain-4": partial(chain, 4),
     "chain-8": partial(chain, 8),

@@ -7,7 +7,8 @@ import numpy as np
 from casadi_models import Model
 
 OPTIONS = {
-    "tol": 1e-10,
+    # Of the gradient, in units of the cost; closer, rounding ends some programs of muscles.
+    "tol": 1e-8,
     "constr_viol_tol": 1e-10,
     "compl_inf_tol": 1e-10,
     "acceptable_iter": 0,

@@ -99,20 +99,21 @@ def torque_reach(bounds=None) -> Case:
     return _case(problem, x0, bounds, model, reach_cost(model, target), 0.5)
 
 
-def muscle_posture(bounds=(0.0, 1.0), duration=0.5) -> Case:
+def muscle_posture(bounds=(0.0, 1.0), duration=0.5, active_state="linear") -> Case:
     """Bring the muscle arm from (1.5, 1.5) to (1, 1.5) rad in 50 steps."""
-    angles = [1.0, 1.5]
-    problem = jc.tasks.posture(jc.plants.MuscleArm(), angles, duration, num_steps=50)
-    x0 = [1.5, 1.5] + 8 * [0.0]
-    return _case(problem, x0, bounds, models.muscle_arm(), posture_cost(angles), duration)
+    angles, arm = [1.0, 1.5], jc.plants.MuscleArm(active_state=active_state)
+    problem = jc.tasks.posture(arm, angles, duration, num_steps=50)
+    x0, model = [1.5, 1.5] + 8 * [0.0], models.muscle_arm(active_state)
+    return _case(problem, x0, bounds, model, posture_cost(angles), duration)
 
 
-def muscle_reach(bounds=(0.0, 1.0), duration=0.5) -> Case:
+def muscle_reach(bounds=(0.0, 1.0), duration=0.5, active_state="linear") -> Case:
     """Move the muscle arm's hand by (-8, 8) cm in 50 steps."""
-    model = models.muscle_arm()
+    model = models.muscle_arm(active_state)
+    arm = jc.plants.MuscleArm(active_state=active_state)
     x0 = [0.785, 1.571] + 8 * [0.0]
     target = model.hand(x0)[0].full().ravel() + np.array([-0.08, 0.08])
-    problem = jc.tasks.reach(jc.plants.MuscleArm(), target, duration, num_steps=50)
+    problem = jc.tasks.reach(arm, target, duration, num_steps=50)
     return _case(problem, x0, bounds, model, reach_cost(model, target), duration)
 
 
@@ -144,6 +145,8 @@ QUICK = {
     "muscle_arm_posture_in_350ms": partial(muscle_posture, duration=0.35),
     "muscle_arm_reach": muscle_reach,
     "muscle_arm_reach_in_200ms": partial(muscle_reach, duration=0.2),
+    "browns_muscle_arm_posture": partial(muscle_posture, active_state="brown"),
+    "browns_muscle_arm_reach": partial(muscle_reach, active_state="brown"),
     "chain_posture": chain_posture,
     "chain_posture_within_2Nm": partial(chain_posture, (-2.0, 2.0)),
 }

@@ -25,7 +25,7 @@ from jaxctrl.problems._library import LIBRARY
 
 SOLVERS = {"ILQR": jc.ILQR, "DDP": jc.DDP}
 NUDGES = 8
-RESTARTS = {"muscle-arm": 100}
+RESTARTS = {"muscle-arm": 100, "muscle-arm-brown": 100}
 """From how many random starts DDP looks for better optima. Of the pendulums, cart-pole, acrobot,
 quadrotor and torque arm 16 starts found none; car parking and chains were not searched."""
 

@@ -76,5 +76,5 @@ def test_ipopt_finds_the_recorded_optimum_from_the_start(name):
     found = from_afar(oracle, np.asarray(benchmark.us), np.asarray(near.us))
     assert found.status == "Solve_Succeeded"
     # The six muscles have several optima, and IPOPT too ends in one that is not the best.
-    bar = 5e-4 if name == "muscle-arm" else 1e-6
+    bar = {"muscle-arm": 2e-5, "muscle-arm-brown": 5e-4}.get(name, 1e-6)
     assert -1e-6 <= benchmark.excess(nlp.rollout(oracle, found.us)[1]) <= bar

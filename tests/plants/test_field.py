@@ -75,6 +75,23 @@ def test_a_positive_curl_pushes_to_the_right_of_the_movement():
     np.testing.assert_allclose(force, [6.5, 0.0], atol=1e-15)
 
 
+def test_feedback_of_muscles_brings_the_hand_nearer_than_their_controls_alone():
+    """Forward by 10 cm, in a curl field that was not planned for."""
+    arm = MuscleArm()
+    x0 = arm.at_rest(np.pi / 4, np.pi / 2)
+    target = arm.hand(x0) + jnp.array([0.0, 0.1])
+    task = jc.tasks.reach(arm, target, 0.5, num_steps=25, velocity_weight=1e-3)
+    found = jc.solve(task, jc.ILQR(), x0)
+    assert found.status.ok
+    field = InField(arm, Curl(13.0))
+
+    def miss(controller):
+        end = jc.simulate(task, controller, x0, plant=field).xs[-1]
+        return float(jnp.linalg.norm(arm.hand(end) - target))
+
+    assert miss(found.policy) < 0.9 * miss(jc.OpenLoop(found.us))
+
+
 @pytest.mark.parametrize("arm", [TorqueArm(), Chain(3), MuscleArm()], ids=lambda arm: str(arm.nx))
 def test_a_constant_force_adds_its_torque_by_finite_differences_of_the_hand(arm):
     n, force, h = arm.num_joints, np.array([1.5, -0.7]), 1e-6

@@ -5,7 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxctrl.plants import MUSCLES, MuscleArm, activation_rate, force_length, passive_force
+from jaxctrl.plants import (
+    MUSCLES,
+    OPTIMAL_LENGTH,
+    MuscleArm,
+    activation_rate,
+    endpoint_stiffness,
+    force_length,
+    isometric_torque,
+    joint_stiffness,
+    passive_force,
+)
 
 START = np.array([np.pi / 4, np.pi / 2])
 ALPHA = np.array([[0, 0, 4.0, -4.2, 3.0, -3.9], [3.0, -1.9, 0, 0, 3.2, -2.2]]) / 100
@@ -76,7 +86,7 @@ def test_the_muscle_velocity_is_the_rate_of_the_length():
 
 
 def test_lengths_and_torques_at_the_standard_start():
-    arm = MuscleArm()
+    arm = MuscleArm(active_state="brown")
     np.testing.assert_allclose(
         arm.muscle_length(START), [0.859, 1.025, 1.093, 0.800, 0.930, 0.969], atol=5.1e-4
     )
@@ -88,11 +98,14 @@ def test_lengths_and_torques_at_the_standard_start():
     np.testing.assert_allclose(arm.hand(x), [-0.0212, 0.4455], atol=5e-5)
 
 
-def test_isometric_tension_at_full_activation_is_the_closed_form():
-    arm, x = MuscleArm(), MuscleArm().at_rest(*START, activation=1.0)
+@pytest.mark.parametrize("curve", ["linear", "brown", "brown-fixed"])
+def test_isometric_tension_at_full_activation_is_the_closed_form(curve):
+    arm = MuscleArm(active_state=curve)
+    x = arm.at_rest(*START, activation=1.0)
     l = np.asarray(arm.muscle_length(START))
-    exponent = 2.11 + 4.16 * (1 / l - 1)
+    exponent = 2.11 + 4.16 * (1 / l - 1) * (curve == "brown")
     active = 1 - np.exp(-((1 / (0.56 * exponent)) ** exponent))
+    active = 0.505 if curve == "linear" else active
     want = arm.peak_force * active * (force_length(l) + passive_force(l))
     np.testing.assert_allclose(arm.muscle_tension(x), want, rtol=1e-13)
 
@@ -191,3 +204,78 @@ def test_every_physical_parameter_is_an_argument_and_a_leaf():
     assert set(leaves) <= names
     assert all(isinstance(getattr(part, name), jax.Array) for name, part in leaves.items())
     assert isinstance(arm.skeleton.m2, jax.Array)  # README
+
+
+def test_another_word_for_the_active_state_is_refused():
+    with pytest.raises(ValueError, match=r"active_state: .*'linear', 'brown', 'brown-fixed'"):
+        MuscleArm(active_state="hill")
+
+
+def test_a_given_optimal_length_keeps_arms_and_the_middle_of_the_range():
+    arm, plain = MuscleArm(optimal_length=OPTIMAL_LENGTH), MuscleArm()
+    np.testing.assert_allclose(arm.paths.optimal_length, OPTIMAL_LENGTH)
+    q = postures()
+    np.testing.assert_allclose(*(jax.vmap(a.moment_arms)(q) for a in (arm, plain)), atol=1e-15)
+    ends = [[a.muscle_length(jnp.full(2, q)) for q in (0.0, jnp.pi)] for a in (arm, plain)]
+    np.testing.assert_allclose(np.mean(ends[0], axis=0), np.mean(ends[1], axis=0), rtol=1e-13)
+    width = np.abs(ends[0][1] - ends[0][0])
+    np.testing.assert_allclose(width, np.abs(plain.paths.excursion) / OPTIMAL_LENGTH, rtol=1e-13)
+    same = MuscleArm(optimal_length=plain.paths.optimal_length)
+    np.testing.assert_allclose(*(jax.vmap(a.muscle_length)(q) for a in (same, plain)), rtol=1e-13)
+    with pytest.raises(ValueError, match="optimal_length"):
+        MuscleArm(optimal_length=-0.1)
+
+
+def test_optimal_lengths_of_the_groups_are_means_weighted_by_force():
+    """Holzbaur, Murray & Delp (2005), table 2: lengths [cm] and peak forces [N]."""
+    groups = [
+        [(13.2, 435.6), (8.6, 987.3), (17.3, 261.3)],
+        [(11.4, 624.3), (2.7, 350.0)],
+        [(9.8, 1142.6), (9.3, 242.5), (14.4, 364.4)],
+        [(13.7, 259.9)],
+        [(11.6, 624.3)],
+        [(13.4, 798.5)],
+    ]
+    want = [np.average([l for l, _ in group], weights=[f for _, f in group]) for group in groups]
+    np.testing.assert_allclose(OPTIMAL_LENGTH, np.array(want) / 100, atol=5.1e-4)
+
+
+@pytest.mark.parametrize("curve", ["linear", "brown"])
+def test_isometric_torques_are_those_of_the_state_at_rest(curve):
+    arm, a = MuscleArm(active_state=curve), jnp.linspace(0.1, 0.9, 6)
+    for q in postures(3):
+        want = arm.muscle_torque(jnp.concatenate([q, jnp.zeros(2), a]))
+        np.testing.assert_allclose(isometric_torque(arm, q, a), want, rtol=1e-13)
+    with pytest.raises(ValueError, match="activation: shape"):
+        isometric_torque(arm, START, np.ones(5))
+    with pytest.raises(ValueError, match="q: shape"):
+        isometric_torque(arm, np.ones(3), 0.1)
+
+
+@pytest.mark.parametrize("curve", ["linear", "brown"])
+def test_stiffness_is_what_a_small_displacement_meets(curve):
+    """Joints: differences of the torque. Hand: the statics of a small load, solved by SciPy."""
+    from scipy.optimize import fsolve
+
+    arm, a = MuscleArm(active_state=curve), jnp.array([0.5, 0.2, 0.3, 0.7, 0.1, 0.4])
+    skeleton = arm.skeleton
+    torque = jax.jit(lambda q: isometric_torque(arm, q, a))
+    hand = jax.jit(lambda q: skeleton.hand(q))
+    jacobian = jax.jit(lambda q: jax.jacfwd(skeleton.hand)(q))
+    for q in ([0.6, 1.3], [1.2, 0.9]):
+        q, h = np.array(q), 1e-5
+        K = joint_stiffness(arm, q, a)
+        np.testing.assert_allclose(K, K.T, rtol=1e-12, atol=1e-12)
+        for j, step in enumerate(h * np.eye(2)):
+            column = -(torque(q + step) - torque(q - step)) / (2 * h)
+            np.testing.assert_allclose(K[:, j], column, rtol=1e-7, atol=1e-7)
+        held = -np.linalg.solve(np.asarray(jacobian(q)).T, np.asarray(torque(q)))
+        K = endpoint_stiffness(arm, q, a)
+        np.testing.assert_allclose(K, K.T, rtol=1e-10)
+        for load in 1e-4 * np.eye(2):
+
+            def unbalanced(at, force=held + load):
+                return np.asarray(torque(at)) + np.asarray(jacobian(at)).T @ force
+
+            moved = hand(fsolve(unbalanced, q, xtol=1e-10)) - hand(q)
+            np.testing.assert_allclose(K @ moved, load, rtol=0, atol=1e-3 * 1e-4)

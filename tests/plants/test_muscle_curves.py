@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from jaxctrl.plants import (
+    activation_of_state,
     activation_rate,
     active_state,
     control_of_rate,
@@ -29,7 +30,44 @@ L, V = np.meshgrid(np.linspace(0.5, 1.6, 45), np.linspace(-4, 4, 41))
     ],
 )
 def test_tension_has_the_tabulated_values(a, l, v, want):
-    np.testing.assert_allclose(tension(a, l, v), want, atol=5.1e-6)
+    np.testing.assert_allclose(tension(a, l, v, "brown"), want, atol=5.1e-6)
+
+
+@pytest.mark.parametrize("v", [-1.0, 0.0, 1.0])
+def test_the_three_active_states_agree_at_full_activation_and_the_optimal_length(v):
+    brown = tension(1.0, 1.0, v, "brown")
+    np.testing.assert_allclose(tension(1.0, 1.0, v, "brown-fixed"), brown, rtol=1e-14)
+    # 0.505 is A(1, 1), 1 - exp(-(1/(0.56 2.11))^2.11) = 0.50501, to three digits.
+    np.testing.assert_allclose(tension(1.0, 1.0, v), brown, rtol=3e-5)
+
+
+def test_the_linear_active_state_is_proportional_at_every_length():
+    a = np.linspace(0, 1, 50)[:, None]
+    np.testing.assert_allclose(active_state(a, L[:1]), 0.505 * a * np.ones_like(L[:1]), rtol=1e-15)
+    fixed = active_state(a, L[:1], "brown-fixed")
+    np.testing.assert_array_equal(fixed, fixed[:, :1] * np.ones_like(L[:1]))
+    one = np.full_like(a, 1.0)
+    np.testing.assert_allclose(fixed[:, :1], active_state(a, one, "brown"), rtol=1e-14)
+
+
+@pytest.mark.parametrize("curve", ["linear", "brown", "brown-fixed"])
+def test_the_inverse_of_the_active_state_is_exact_within_its_bounds(curve):
+    a, l = np.meshgrid(np.linspace(0.05, 1, 40), np.linspace(0.5, 1.6, 20))
+    A = active_state(a, l, curve)
+    np.testing.assert_allclose(activation_of_state(A, l, curve), a, rtol=1e-9)
+    most = active_state(np.ones_like(l), l, curve)
+    assert (most <= 1).all() and (most + 1e-15 >= A).all()
+    assert (activation_of_state(most * (1 + 1e-9), l, curve) > 1).all()
+    small = activation_of_state(np.zeros_like(l), l, curve)
+    np.testing.assert_allclose(small, 0, atol=1.1e-9)
+    slope = jax.vmap(jax.grad(lambda A: activation_of_state(A, 1.0, curve)))(jnp.zeros(3))
+    assert jnp.isfinite(slope).all()
+
+
+def test_another_word_for_the_active_state_is_refused():
+    for call in (active_state, activation_of_state, lambda a, l, c: tension(a, l, 0.0, c)):
+        with pytest.raises(ValueError, match=r"active_state.*brown-fixed.*got 'hill'"):
+            call(0.5, 1.0, "hill")
 
 
 def test_the_curves_are_the_means_of_browns_fibres():
@@ -57,7 +95,7 @@ def test_the_curves_are_the_means_of_browns_fibres():
     a = np.linspace(0.05, 1, 45)[None] * np.ones_like(L)
     exponent = 2.11 + mean(5.0, 3.31) * (1 / L - 1)
     want = 1 - np.exp(-((a / (0.56 * exponent)) ** exponent))
-    np.testing.assert_allclose(active_state(a, L), want, atol=0.01)
+    np.testing.assert_allclose(active_state(a, L, "brown"), want, atol=0.01)
 
 
 def test_the_passive_force_pushes_and_fades_with_length():
@@ -73,12 +111,13 @@ def test_force_velocity_is_one_at_rest_zero_at_the_fastest_and_never_falls():
     assert (np.diff(force_velocity(L, V), axis=0) > 0).all()
 
 
-def test_the_active_state_grows_with_activation_within_0_and_1():
+@pytest.mark.parametrize("curve", ["linear", "brown", "brown-fixed"])
+def test_the_active_state_grows_with_activation_within_0_and_1(curve):
     a = np.linspace(0, 1, 50)[:, None]
-    A = active_state(a, np.linspace(0.5, 1.6, 30)[None])
+    A = active_state(a, np.linspace(0.5, 1.6, 30)[None], curve)
     assert (np.diff(A, axis=0) > 0).all()
     assert A.min() >= 0 and A.max() < 1
-    np.testing.assert_allclose(active_state(0.0, 1.0), 0, atol=1e-15)
+    np.testing.assert_allclose(active_state(0.0, 1.0, curve), 0, atol=1e-15)
 
 
 def test_the_inverse_of_the_activation_is_exact():
@@ -102,16 +141,18 @@ def test_activation_rises_with_50_ms_and_falls_with_66_ms():
     np.testing.assert_allclose(activation_rate(0.2, 0.5), 0.3 / 0.058, rtol=1e-14)
 
 
-def plain_tension(a, l, v):
-    return active_state(a, l) * (force_length(l) * force_velocity(l, v) + passive_force(l))
+def plain_tension(a, l, v, curve):
+    factor = force_length(l) * force_velocity(l, v) + passive_force(l)
+    return active_state(a, l, curve) * factor
 
 
-def test_the_partial_derivatives_of_the_tension_are_those_of_plain_differentiation():
+@pytest.mark.parametrize("curve", ["linear", "brown", "brown-fixed"])
+def test_the_partial_derivatives_of_the_tension_are_those_of_plain_differentiation(curve):
     rng = np.random.default_rng(1)
     z = np.stack([rng.uniform(0.01, 1, 200), rng.uniform(0.5, 1.7, 200), rng.uniform(-3, 3, 200)])
     for operator in (jax.grad, jax.hessian):
         got, want = (
-            jax.jit(jax.vmap(operator(lambda z, f=f: f(z[0], z[1], z[2]))))(z.T)
+            jax.jit(jax.vmap(operator(lambda z, f=f: f(z[0], z[1], z[2], curve))))(z.T)
             for f in (tension, plain_tension)
         )
         np.testing.assert_allclose(got, want, rtol=1e-12, atol=1e-12)
@@ -132,17 +173,19 @@ def test_the_partial_derivatives_of_the_tension_are_finite_differences():
 def test_the_tension_broadcasts_its_arguments():
     a, l = jnp.linspace(0.1, 1, 6), jnp.array(1.1)
     by_l = jax.jit(jax.jacfwd(lambda l: tension(a, l, 0.3)))(l)
-    want = jax.jit(jax.vmap(jax.grad(plain_tension, 1), (0, None, None)))(a, l, 0.3)
+    plain = jax.grad(lambda a, l: plain_tension(a, l, 0.3, "linear"), 1)
+    want = jax.jit(jax.vmap(plain, (0, None)))(a, l)
     np.testing.assert_allclose(by_l, want, rtol=1e-13)
 
 
+@pytest.mark.parametrize("curve", ["linear", "brown", "brown-fixed"])
 @pytest.mark.parametrize("operator", [jax.grad, jax.hessian])
-def test_derivatives_of_the_tension_are_finite_at_its_kinks_and_poles(operator):
+def test_derivatives_of_the_tension_are_finite_at_its_kinks_and_poles(operator, curve):
     a, l = [0.0, 1e-9, 0.4, 1.0], [0.5, 1.0, 1.4]
     v = [-5.72 / 3.47, 0.0, 5.72 / 3.47, -0.62, 0.62]
     points = np.stack(np.meshgrid(a, l, v), -1).reshape(-1, 3)
     with jax.debug_nans(True):
-        derivative = jax.jit(jax.vmap(operator(lambda z: tension(z[0], z[1], z[2]))))(points)
+        derivative = jax.jit(jax.vmap(operator(lambda z: tension(*z, curve))))(points)
     assert jnp.isfinite(derivative).all()
 
 

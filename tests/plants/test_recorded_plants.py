@@ -36,7 +36,7 @@ RECORDED = {
         [-0.7711998780320526, -0.6533390737801259, -19.172921582076125, 59.231092875389024],
     ),
     "MuscleArm": (
-        lambda: p.MuscleArm(),
+        lambda: p.MuscleArm(active_state="brown"),
         [
             -0.7711998780320526,
             -0.6533390737801259,
@@ -51,7 +51,9 @@ RECORDED = {
         ],
     ),
     "MuscleArm constant": (
-        lambda: p.MuscleArm(arms="constant", pcsa=12.0, activation_time=0.04, I1=0.03),
+        lambda: p.MuscleArm(
+            arms="constant", active_state="brown", pcsa=12.0, activation_time=0.04, I1=0.03
+        ),
         [
             -0.7711998780320526,
             -0.6533390737801259,
@@ -77,7 +79,7 @@ RECORDED = {
         ],
     ),
     "InField": (
-        lambda: p.InField(p.MuscleArm(), p.Curl(13.0)),
+        lambda: p.InField(p.MuscleArm(active_state="brown"), p.Curl(13.0)),
         [
             -0.7711998780320526,
             -0.6533390737801259,

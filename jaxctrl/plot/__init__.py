@@ -10,7 +10,7 @@ colours found there. `style(dark=True)` makes dark figures.
 from ._convergence import convergence
 from ._kinematics import power_law, speed_and_curvature
 from ._space import hand_paths, joint_paths, phase
-from ._style import panels, style
+from ._style import direction_colours, panels, style
 from ._time import activations, controls, speed_profiles, trajectories
 from ._workspace import points, workspace_map
 
@@ -18,6 +18,7 @@ __all__ = [
     "activations",
     "controls",
     "convergence",
+    "direction_colours",
     "hand_paths",
     "joint_paths",
     "panels",

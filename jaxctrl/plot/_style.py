@@ -183,3 +183,23 @@ def figure_of(ax: Axes) -> Figure:
     while not isinstance(figure, Figure):
         figure = figure.figure
     return figure
+
+
+def direction_colours(angles: Any) -> np.ndarray:
+    """Return a colour for each direction: near directions have near colours, all the way round.
+
+    ax.set_prop_cycle(color=direction_colours(angles)) before drawing paths or speeds into `ax`.
+
+    The colours go from grey at 0 over blue, black at pi and red back to grey, which most
+    colour-blind eyes tell apart too: matplotlib's map "twilight", darkened to be seen on white.
+
+    Arguments:
+        angles: directions [rad], (n,).
+    Returns: red, green, blue between 0 and 1, (n, 3).
+    Raises: ValueError for another shape, or an angle that is not finite.
+    """
+    angles = np.asarray(angles, float)
+    if angles.ndim != 1 or not np.isfinite(angles).all():
+        raise ValueError(f"angles: finite numbers of shape (n,) are wanted, got {angles!r:.60}")
+    turns = np.mod(angles / (2 * np.pi), 1.0)
+    return 0.8 * matplotlib.colormaps["twilight"](turns)[:, :3]

@@ -166,3 +166,18 @@ def test_no_pyplot_and_no_jax_are_imported():
         "assert not {'matplotlib.pyplot', 'jax'} & set(sys.modules), 'imported'"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+def test_colours_of_directions_go_round_and_are_seen_on_white_by_all():
+    angles = np.linspace(0, 2 * np.pi, 73)
+    colours = plot.direction_colours(angles)
+    assert colours.shape == (73, 3) and (colours >= 0).all() and (colours <= 0.8).all()
+    # Round without a jump, and the quarters apart in lightness or in blue against the rest.
+    assert np.abs(np.diff(np.vstack([colours, colours[:1]]), axis=0)).max() < 0.1
+    quarters = plot.direction_colours(np.array([0.0, 0.5, 1.0, 1.5]) * np.pi)
+    # Red and green taken together.
+    seen = quarters @ np.array([[0.5, 0.0], [0.5, 0.0], [0.0, 1.0]])
+    apart = np.linalg.norm(seen[:, None] - seen[None], axis=-1)[np.triu_indices(4, 1)]
+    assert apart.min() > 0.2
+    with pytest.raises(ValueError, match="angles"):
+        plot.direction_colours(np.array([0.0, np.nan]))

@@ -32,6 +32,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.fig_3_10",
         "One via-point at several times: minimum torque change (3.10) and energy (3.11)",
     ),
+    "chapter-3": (
+        "jaxctrl.experiments.chapter_3",
+        "All of chapter 3 with a linear active state and Brown's: which findings hang on it",
+    ),
     "fig-4.1": (
         "jaxctrl.experiments.fig_4_1",
         "Optimal trajectories of the torque arm, the muscle arm and the pendulum",

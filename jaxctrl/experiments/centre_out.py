@@ -1,9 +1,10 @@
 """Reaches of 10 cm in eight directions, by torques and by six muscles, with noisy repetitions.
 
 The cost is Li's (2006), eq. 3.20, from the posture (pi/4, pi/2). ILQR plans without noise; its
-feedback law then runs on the arm with motor noise proportional to each control. The ranges with
-which the movements are compared come from an independent implementation of the same arms and
-costs; they are not the thesis's.
+feedback law then runs on the arm with motor noise proportional to each control: 0.02 s^(1/2), a
+fifth of the control over 10 ms, and 0.05 s^(1/2), the thesis's half. The ranges with which the
+movements are compared come from an independent implementation of the same costs and of arms whose
+muscles have Brown's active state; they are not the thesis's.
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,12 @@ ARMS = ("torque", "muscle")
 
 @dataclass(frozen=True)
 class Config:
-    """Settings: radius [m], duration [s], directions, weights, noise [s^(1/2)], trials and seed."""
+    """Settings: radius [m], duration [s], directions, weights, weak and strong noise [s^(1/2)],
+    trials and seed; the muscles' active state, "linear", "brown" or "brown-fixed".
+
+    The price of the last velocity, `velocity_weight` [s^2/m^2], is a tenth of that of `jc.tasks`:
+    it is that of the implementation with which the movements are compared.
+    """
 
     radius: float = 0.1
     duration: float = 0.5
@@ -33,8 +39,10 @@ class Config:
     velocity_weight: float = 1e-3
     effort: float = 1e-4
     motor_noise: float = 0.02
+    strong_noise: float = 0.05
     trials: int = 50
     seed: int = 0
+    active_state: str = "linear"
 
     @classmethod
     def quick(cls) -> "Config":
@@ -56,21 +64,26 @@ def _reach(arm: jc.AbstractArm, x0, config: Config):
     )
     solutions = jc.solve_batch(problems, jc.ILQR(), x0)
     keys = jax.random.split(jax.random.key(config.seed), (config.directions, config.trials))
-    noise = jc.SignalDependentNoise(config.motor_noise)
 
-    def trial(problem, policy, key):
+    def trial(level, problem, policy, key):
+        noise = jc.SignalDependentNoise(level)
         return jc.simulate(problem, policy, x0, key=key, noise=noise).xs
 
-    over_keys = jax.vmap(trial, in_axes=(None, None, 0))
-    noisy = jax.vmap(over_keys)(problems, solutions.policy, keys)
+    over_keys = jax.vmap(trial, in_axes=(None, None, None, 0))
+    over_directions = jax.vmap(over_keys, in_axes=(None, 0, 0, 0))
+    levels = jnp.array([config.motor_noise, config.strong_noise])
+    noisy = jax.vmap(over_directions, in_axes=(0, None, None, None))(
+        levels, problems, solutions.policy, keys
+    )
     on_grid = jax.vmap(jax.vmap(arm.hand))
     paths, speeds = on_grid(solutions.xs), jax.vmap(jax.vmap(arm.hand_velocity))(solutions.xs)
-    return solutions, paths, jnp.linalg.norm(speeds, axis=-1), jax.vmap(on_grid)(noisy)
+    return solutions, paths, jnp.linalg.norm(speeds, axis=-1), jax.vmap(jax.vmap(on_grid))(noisy)
 
 
 def run(config: Config) -> Result:
     """Reach with both arms; arrays lead with the arm and the direction."""
-    arms = (jc.plants.TorqueArm(), jc.plants.MuscleArm())
+    muscle = jc.plants.MuscleArm(active_state=config.active_state)  # pyright: ignore[reportArgumentType]
+    arms = (jc.plants.TorqueArm(), muscle)
     starts = [arm.at_rest(*START) for arm in arms]
     reaches = [_reach(arm, x0, config) for arm, x0 in zip(arms, starts, strict=True)]
     solutions, paths, speeds, noisy = zip(*reaches, strict=True)
@@ -84,7 +97,7 @@ def run(config: Config) -> Result:
             "hand": ((*many, "time", "axis"), np.stack(paths), named("hand position", "m")),
             "speed": ((*many, "time"), np.stack(speeds), named("hand speed", "m/s")),
             "noisy": (
-                (*many, "trial", "time", "axis"),
+                ("arm", "noise", "direction", "trial", "time", "axis"),
                 np.stack(noisy),
                 named("hand position in noisy trials", "m"),
             ),
@@ -102,6 +115,11 @@ def run(config: Config) -> Result:
         },
         coords={
             "arm": ("arm", list(ARMS), {"long_name": "arm"}),
+            "noise": (
+                "noise",
+                [config.motor_noise, config.strong_noise],
+                named("motor noise", "s^(1/2)"),
+            ),
             "direction": ("direction", np.degrees(angles), named("direction", "degree")),
             "time": (
                 "time",
@@ -132,22 +150,28 @@ def _measures(data: xarray.Dataset, arm: str) -> dict[str, np.ndarray]:
 
 
 def figure(result: Result) -> Figure:
-    """Draw hand paths with their noisy trials and speed profiles, one row for each arm."""
+    """Draw hand paths with their trials under both noises, and speed profiles; a row for an arm."""
     data = result.data
-    labels = [f"{angle:.0f}°" for angle in data.direction.values]
-    fig, axes = jc.plot.panels(2, 2, size=(8.0, 6.4))
+    angles = data.direction.values
+    labels = [f"{angle:.0f}°" for angle in angles]
+    fig, axes = jc.plot.panels(2, 3, size=(10.0, 6.2))
     for row, arm in zip(axes, ARMS, strict=True):
-        jc.plot.hand_paths(
-            list(data.noisy.sel(arm=arm).values), data.target.values, labels=labels, ax=row[0]
-        )
-        jc.plot.speed_profiles(
-            data.time, list(data.speed.sel(arm=arm).values), labels=labels, ax=row[1]
-        )
+        for ax in row:
+            ax.set_prop_cycle(color=jc.plot.direction_colours(np.radians(angles)))
+        for ax, noise in zip(row, data.noise.values, strict=False):
+            part = data.noisy.sel(arm=arm, noise=noise)
+            jc.plot.hand_paths(list(part.values), data.target.values, labels=labels, ax=ax)
+            ax.get_legend().remove()
+            with jc.plot.style():
+                ax.set_title(f"{arm}s, noise {noise:g} s$^{{1/2}}$", loc="left")
+        speeds = list(data.speed.sel(arm=arm).values)
+        jc.plot.speed_profiles(data.time, speeds, labels=labels, ax=row[-1])
         with jc.plot.style():
-            row[0].set_title(f"{arm}-driven arm, noisy trials", loc="left")
-            row[1].set_title(f"{arm}-driven arm, planned", loc="left")
-        if row[1].get_legend():
-            row[1].get_legend().remove()
+            row[-1].set_title(f"{arm}s, planned", loc="left")
+    axes[1, -1].get_legend().remove()
+    top = max(ax.get_ylim()[1] for ax in axes[:, -1])
+    for ax in axes[:, -1]:
+        ax.set_ylim(0, top)
     return fig
 
 

@@ -52,7 +52,8 @@ SLIGHT = 0.15
 class Config:
     """Settings: columns and rows of the fine grid, and the `stride` that leaves the coarser one.
 
-    distance [m], duration [s] and number of time steps of each reach; `effort` of the muscles.
+    distance [m], duration [s] and number of time steps of each reach; `effort` of the muscles, and
+    their active state, "linear", "brown" or "brown-fixed".
     """
 
     columns: int = 15
@@ -62,6 +63,7 @@ class Config:
     duration: float = 0.5
     num_steps: int = 50
     effort: float = 1e-4
+    active_state: str = "linear"
 
     @classmethod
     def quick(cls) -> "Config":
@@ -92,7 +94,9 @@ def _starts(config: Config, stride: int) -> tuple[np.ndarray, np.ndarray, np.nda
 def _solve(name: str, config: Config) -> xarray.Dataset:
     """Solve all reaches of a model in one batch, and measure their curvature."""
     muscles = name == "muscle"
-    arm = jc.plants.MuscleArm() if muscles else jc.plants.TorqueArm()
+    arm = jc.plants.TorqueArm()
+    if muscles:
+        arm = jc.plants.MuscleArm(active_state=config.active_state)  # pyright: ignore[reportArgumentType]
     where, starts, targets = _starts(config, config.stride if muscles else 1)
 
     model: jc.models.AbstractModel = jc.models.MinimumTorqueChange()  # pyright: ignore[reportCallIssue]

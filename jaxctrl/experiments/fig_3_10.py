@@ -17,13 +17,17 @@ import jaxctrl as jc
 from ._planned import (
     Movement,
     MovementConfig,
+    Valley,
+    at_the_bend,
     dataset,
+    depths,
     draw,
     failures,
     milliseconds,
     passed,
     plan,
     profiles,
+    valleys,
 )
 from ._result import Claim, Result
 
@@ -56,7 +60,7 @@ def run(config: Config) -> Result:
     times = DRAWN + FURTHER[: config.further]
     movements = [Movement(START, TARGET, POINT, time) for time in times]
     labels = [f"{1e3 * time:.0f} ms" for time in times]
-    planned = plan(jc.plants.MuscleArm(), movements, config)
+    planned = plan(config.arm, movements, config)
     data = dataset(planned, labels, movements, config)
     return Result(data, config, failures(planned, labels))
 
@@ -71,20 +75,20 @@ def claims(result: Result) -> list[Claim]:
     found = []
     for model, number in FIGURES.items():
         data, source = result.data.sel(model=model), f"Li (2006), fig. {number}"
-        speeds = profiles(result.data, model)
+        speeds, found_valleys = profiles(result.data, model), valleys(result.data, model)
         found += [
             passed(result.data, model, source),
             _first_peak(model, source, speeds[: len(DRAWN)]),
-            _order(model, source, speeds[: len(DRAWN)]),
-            *_curvature(model, source, data, speeds),
+            _order(model, source, found_valleys[: len(DRAWN)]),
+            at_the_bend(
+                f"The speed's valley coincides with a peak of the curvature ({model})",
+                source,
+                found_valleys,
+            ),
+            _heights(model, source, found_valleys),
             _first_part(model, source, data),
         ]
     return found
-
-
-def _deepest(profile: jc.analysis.SpeedProfile) -> int | None:
-    """Return the index of the deepest valley, or None without one."""
-    return int(np.argmax(profile.valley_depth)) if len(profile.valley_depth) else None
 
 
 def _first_peak(model: str, source: str, speeds: list[jc.analysis.SpeedProfile]) -> Claim:
@@ -99,57 +103,38 @@ def _first_peak(model: str, source: str, speeds: list[jc.analysis.SpeedProfile])
     )
 
 
-def _order(model: str, source: str, speeds: list[jc.analysis.SpeedProfile]) -> Claim:
-    valleys = [_deepest(profile) for profile in speeds]
-    times = [
-        np.nan if i is None else float(profile.valley_times[i])
-        for i, profile in zip(valleys, speeds, strict=True)
-    ]
+ORDER = {
+    False: "without a second peak there is no valley to order",
+    True: "passed early, the hand swings beyond the target, and the valley is where it turns back",
+}
+"""Why valleys are not ordered, by whether each movement has one."""
+
+
+def _order(model: str, source: str, found: list[Valley]) -> Claim:
+    times = [valley.time for valley in found]
+    ordered = bool(np.all(np.diff(times) > 0))
     return Claim(
         f"The later the passing, the later the speed's valley ({model})",
         source,
         "ordered as 150, 250 and 320 ms",
-        "valleys at " + ", ".join(milliseconds(time) for time in times),
-        bool(np.all(np.diff(times) > 0)),
-        "the valley of 150 ms comes late: the hand passes far from the via-point, see above",
+        "valleys at " + ", ".join(milliseconds(time) for time in times) + f"; {depths(found)}",
+        ordered,
+        "" if ordered else ORDER[bool(np.isfinite(times).all())],
     )
 
 
-def _curvature(
-    model: str, source: str, data: xarray.Dataset, speeds: list[jc.analysis.SpeedProfile]
-) -> list[Claim]:
-    """Judge whether valleys of the speed and peaks of the curvature go together."""
-    gaps, heights, depths, ts = [], [], [], data.time.values
-    curvatures = jc.analysis.curvature(data.hand, ts, velocities=data.velocity)
-    for profile, speed, curvature in zip(speeds, data.speed.values, curvatures, strict=True):
-        valley = _deepest(profile)
-        bends = jc.analysis.curvature_peaks(ts, curvature, speed)
-        if valley is None or not len(bends.times):
-            continue
-        nearest = int(np.argmin(np.abs(bends.times - profile.valley_times[valley])))
-        gaps.append(abs(float(bends.times[nearest] - profile.valley_times[valley])))
-        heights.append(float(bends.heights[nearest]))
-        depths.append(float(profile.valley_depth[valley]))
-    correlation = float(np.corrcoef(heights, depths)[0, 1]) if len(gaps) > 2 else np.nan
-    return [
-        Claim(
-            f"The speed's valley coincides with a peak of the curvature ({model})",
-            source,
-            "within 40 ms where the speed has two peaks",
-            f"at most {1e3 * max(gaps, default=np.nan):.0f} ms apart; {len(gaps)} of {len(speeds)} "
-            "movements have a valley",
-            bool(gaps) and max(gaps) <= 0.04,
-            "" if gaps else "no movement has two peaks",
-        ),
-        Claim(
-            f"The higher the curvature's peak, the deeper the valley ({model})",
-            source,
-            "positive correlation",
-            f"r = {correlation:.2f} over the {len(gaps)} passing times with a valley",
-            correlation > 0.5,
-            "" if correlation > 0.5 else "too few valleys, or no such relation",
-        ),
-    ]
+def _heights(model: str, source: str, found: list[Valley]) -> Claim:
+    """Judge whether high peaks of the curvature and deep valleys go together."""
+    pairs = [(v.height, v.depth) for v in found if np.isfinite(v.height)]
+    correlation = float(np.corrcoef(np.transpose(pairs))[0, 1]) if len(pairs) > 2 else np.nan
+    return Claim(
+        f"The higher the curvature's peak, the deeper the valley ({model})",
+        source,
+        "positive correlation",
+        f"r = {correlation:.2f} over the {len(pairs)} passing times with a valley",
+        correlation > 0.5,
+        "" if correlation > 0.5 else "too few valleys, or no such relation",
+    )
 
 
 def _first_part(model: str, source: str, data: xarray.Dataset) -> Claim:

@@ -15,13 +15,16 @@ import jaxctrl as jc
 from ._planned import (
     Movement,
     MovementConfig,
+    Valley,
     dataset,
+    depths,
     draw,
     failures,
     least_jerk,
     passed,
     plan,
     profiles,
+    valleys,
 )
 from ._result import Claim, Result, named
 
@@ -55,7 +58,7 @@ def run(config: Config) -> Result:
     heights = DRAWN + FURTHER[: config.further]
     movements = [Movement(START, TARGET, np.array([0.0, y]), config.passing) for y in heights]
     labels = ["P0", "P1", "P2", *(f"y = {y} m" for y in heights[len(DRAWN) :])]
-    planned = plan(jc.plants.MuscleArm(), movements, config)
+    planned = plan(config.arm, movements, config)
     data = dataset(planned, labels, movements, config)
     jerk = [least_jerk(movement, data.time.values).velocity for movement in movements]
     speed = np.linalg.norm(jerk, axis=-1)
@@ -76,7 +79,7 @@ def claims(result: Result) -> list[Claim]:
         source, speeds = f"Li (2006), fig. {number}", profiles(result.data, model)
         found += [
             passed(result.data, model, source),
-            _counts(model, source, speeds, jerk),
+            _counts(model, source, speeds, jerk, valleys(result.data, model)),
             *_with_distance(model, source, speeds, jerk, result.data.point.values[:, 1] - START[1]),
         ]
     return found
@@ -85,7 +88,9 @@ def claims(result: Result) -> list[Claim]:
 Profiles = list[jc.analysis.SpeedProfile]
 
 
-def _counts(model: str, source: str, speeds: Profiles, jerk: Profiles) -> Claim:
+def _counts(
+    model: str, source: str, speeds: Profiles, jerk: Profiles, found: list[Valley]
+) -> Claim:
     counts, straight = (
         [len(profile.peak_times) for profile in those[: len(DRAWN)]] for those in (speeds, jerk)
     )
@@ -94,7 +99,7 @@ def _counts(model: str, source: str, speeds: Profiles, jerk: Profiles) -> Claim:
         source,
         "1 peak through P0, 2 through P1 and P2",
         f"{counts[0]}, {counts[1]} and {counts[2]}; least jerk has {straight[0]}, {straight[1]} "
-        f"and {straight[2]}",
+        f"and {straight[2]}; {depths(found[: len(DRAWN)])}",
         counts == [1, 2, 2],
         "" if counts == [1, 2, 2] else "P1, 10 cm aside, is not yet far for any of the models",
     )

@@ -37,7 +37,8 @@ class Config:
     `path_weight` [1/(m^2 s)] keeps the hand on the path, `effort` and `jerk` weigh what movement
     costs; `trim` is the fraction of each record that is left out at either end; `tightest` the
     largest curvature of a scribble [1/m]; `fastest` bounds the rate of the phase, as a multiple of
-    its mean; `null_seeds` counts the scribbles of noise.
+    its mean; `null_seeds` counts the scribbles of noise; `active_state` is the muscles', "linear",
+    "brown" or "brown-fixed".
     """
 
     duration: float = 3.0
@@ -54,6 +55,7 @@ class Config:
     fastest: float = 5.0
     trim: float = 1 / 6
     null_seeds: int = 100
+    active_state: str = "linear"
 
     @classmethod
     def quick(cls) -> "Config":
@@ -75,7 +77,9 @@ def _body(model: str, config: Config) -> tuple[jc.AbstractHand, jc.OfInner, jc.A
     if model == "jerk":
         cost = jc.models.PolynomialJerkCost(config.jerk, 0.0)  # pyright: ignore[reportCallIssue]
         return jc.plants.FreeHand(), jc.OfInner(cost), jc.plants.PolynomialJerk()  # pyright: ignore[reportCallIssue]
-    arm = jc.plants.TorqueArm() if model == "torque" else jc.plants.MuscleArm()
+    arm = jc.plants.TorqueArm()
+    if model == "muscle":
+        arm = jc.plants.MuscleArm(active_state=config.active_state)  # pyright: ignore[reportArgumentType]
     cost = jc.tasks.Effort(config.effort)  # pyright: ignore[reportCallIssue]
     return arm, jc.OfInner(cost), jc.RK4()  # pyright: ignore[reportCallIssue]
 

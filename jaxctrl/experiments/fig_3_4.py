@@ -75,8 +75,16 @@ def figure(result: Result) -> Figure:
             list(data.hand.sel(model=model).values), TARGETS, labels=labels, starts=[], ax=row[0]
         )
         for name, place in zip("12345", TARGETS, strict=True):
+            out = place - TARGETS.mean(axis=0)  # away from the movements
+            aside = 11 * out / np.linalg.norm(out)
             row[0].annotate(
-                f"T{name}", 100 * place, xytext=(6, 5), textcoords="offset points", fontsize=7
+                f"T{name}",
+                100 * place,
+                xytext=tuple(aside),
+                textcoords="offset points",
+                ha="center",
+                va="center",
+                fontsize=7,
             )
         jc.plot.speed_profiles(
             data.time, list(data.speed.sel(model=model).values), labels=labels, ax=row[1]

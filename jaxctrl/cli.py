@@ -13,6 +13,7 @@ import io
 import os
 import signal
 import sys
+import textwrap
 import typing
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -29,6 +30,9 @@ from ._version import __version__
 if TYPE_CHECKING:
     from .experiments._result import Claim
     from .experiments._runner import Outcome
+
+WIDTH = 100
+"""Columns of what is written about claims."""
 
 _TYPES: dict[type, click.ParamType] = {
     int: click.INT,
@@ -170,9 +174,8 @@ def show(word: str, out: Path) -> int:
     say("\nSettings")
     say(_table([(key, str(value)) for key, value in found.config.items()]))
     say("\nClaims")
-    header = ("claim", "expected", "measured", "holds", "source", "note")
-    rows = [(*_cells(claim), claim.source, claim.note) for claim in found.claims]
-    say(_table([header, *rows]))
+    for claim in found.claims:
+        say(_block(claim, source=claim.source, note=claim.note))
     say("\nVariables")
     rows = [
         (
@@ -287,19 +290,28 @@ def _configure(name: str, module: ModuleType, quick: bool, pairs: Sequence[str])
 
 
 def _scoreboard(outcomes: "Iterable[Outcome]") -> str:
-    """Return one line for each claim of each experiment, and one for each that has none to show."""
-    rows: list[tuple[str, ...]] = [("experiment", "claim", "expected", "measured", "holds")]
+    """Return each experiment's claims, and a line for each experiment that has none to show."""
+    lines = []
     for outcome in outcomes:
-        rows += [(outcome.name, *_cells(claim)) for claim in outcome.claims]
+        if outcome.claims:
+            hold = sum(claim.holds for claim in outcome.claims)
+            lines.append(f"{outcome.name}: {hold} of {len(outcome.claims)} claims hold")
+            lines += [_block(claim) for claim in outcome.claims]
         if outcome.state not in ("finished", "skipped"):
-            rows.append((outcome.name, f"{outcome.state}: {outcome.detail}".rstrip(": ")))
-    return _table(rows)
+            lines.append(f"{outcome.name}: {outcome.state}: {outcome.detail}".rstrip(": "))
+    return "\n".join(lines)
 
 
-def _cells(claim: "Claim") -> tuple[str, str, str, str]:
-    """Return the columns that every table of claims has."""
-    holds = click.style("yes", fg="green") if claim.holds else click.style("NO", fg="red")
-    return claim.statement, claim.expected, claim.measured, holds
+def _block(claim: "Claim", **further: str) -> str:
+    """Write a claim as yes or NO with its statement, and below what was expected and measured."""
+    verdict = click.style("yes", fg="green") if claim.holds else click.style("NO", fg="red") + " "
+    parts = {"expected": claim.expected, "measured": claim.measured, **further}
+    below = [_wrapped(f"{name + ':':<10}{text}") for name, text in parts.items() if text]
+    return "\n".join([verdict + _wrapped(claim.statement)[3:], *below])
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, WIDTH, initial_indent=" " * 5, subsequent_indent=" " * 5)
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:

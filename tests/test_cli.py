@@ -175,9 +175,13 @@ def test_a_claim_that_does_not_hold_is_shown_and_is_no_error(call, tmp_path):
     code, stdout, stderr = call("run", "good", "good", "--out", tmp_path)
     assert code == 0
     assert stdout.splitlines() == [
-        "experiment  claim                 expected  measured  holds",
-        "good        the path is straight  < 1 m     0.2 m     yes",
-        "good        the hand stops        0 m/s     0.1 m/s   NO",
+        "good: 1 of 2 claims hold",
+        "yes  the path is straight",
+        "     expected: < 1 m",
+        "     measured: 0.2 m",
+        "NO   the hand stops",
+        "     expected: 0 m/s",
+        "     measured: 0.1 m/s",
     ]
     assert stderr.startswith("[1/1] good started\n")
 
@@ -186,9 +190,10 @@ def test_a_failed_experiment_exits_1_and_is_on_the_scoreboard(call, tmp_path):
     names = ("raises", "fails", "last")
     code, stdout, _ = call("run", "all", "--out", tmp_path, names=names)
     assert code == 1
-    assert "\nraises      failed: RuntimeError: the arm fell off\n" in stdout
-    assert "\nfails       failed: ILQR stopped at its maximum of steps\n" in stdout
-    assert "\nlast        the path is straight" in stdout
+    assert "raises: failed: RuntimeError: the arm fell off\n" in stdout
+    assert "\nfails: failed: ILQR stopped at its maximum of steps\n" in stdout
+    assert "\nlast: 1 of 2 claims hold\nyes  the path is straight\n" in stdout
+    assert max(map(len, stdout.splitlines())) <= 100
     assert made_by_jaxctrl(tmp_path) == ["fails", "last"]
 
 
@@ -286,7 +291,7 @@ def test_a_disk_that_fills_up_fails_one_experiment_and_leaves_no_part_of_it(tmp_
     arguments = ("run", "large", "last", "--out", tmp_path)
     code, stdout, _ = finish(start(*arguments, FAKE_LIMIT="2000000"))
     assert code == 1
-    assert "large       failed: OSError" in stdout
+    assert "large: failed: OSError" in stdout
     assert made_by_jaxctrl(tmp_path) == ["last"]
     _store.read(tmp_path, "last")
 

@@ -45,7 +45,7 @@ def test_the_experiment_of_the_documentation_runs(call):
     (program,) = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.DOTALL)
     Path("haste.py").write_text(program)
     code, stdout, _ = call("run", "haste.py", "--quick", "--set", "longest=0.8")
-    assert code == 0 and re.search(r"haste +Haste costs +falls .* yes", stdout), stdout
+    assert code == 0 and re.search(r"yes  Haste costs\n +expected: falls\n", stdout), stdout
     found = _store.read(Path("results"), "haste")
     assert found.config == {"longest": 0.8, "num_steps": 25}
     assert found.data().duration.values.tolist() == [0.2, 0.4, 0.8]
@@ -59,7 +59,7 @@ def test_a_file_runs_beside_the_registry_and_is_finished_like_it(call):
     for state in ("finished", "skipped"):
         code, stdout, stderr = call("run", "mine.py", "all", "--set", "seed=4")
         assert code == 0 and stderr.count(f" {state} ") == 3, stderr
-        assert "\nmine        the path is straight" in stdout
+        assert "\nmine: 1 of 2 claims hold\nyes  the path is straight" in stdout
     code, stdout, _ = call("show", "mine.py")
     assert code == 0 and "mine: What mine does." in stdout and "seed   4" in stdout
 
@@ -160,7 +160,7 @@ def test_a_file_that_fails_or_returns_something_else_is_a_failure_of_its_own(cal
 def test_a_file_that_raises_on_import_is_a_failure_with_its_own_line(call):
     Path("mine.py").write_text("import jaxctrl\nraise RuntimeError('no arm')\n")
     code, stdout, stderr = call("run", "mine.py", "good")
-    assert code == 1 and "mine        failed: RuntimeError: no arm" in stdout
+    assert code == 1 and "mine: failed: RuntimeError: no arm" in stdout
     assert 'mine.py", line 2' in stderr and "\ngood" in stdout
 
 

@@ -146,7 +146,8 @@ def check_gradients(
         )
     solution = solve(problem, solver, start, controls, throw=True)
     inputs, static = eqx.partition({"x0": start, "problem": problem}, eqx.is_inexact_array)
-    found = _Solves(static, solver, controls, solution.us)
+    aside = ASIDE * (1 + jnp.max(jnp.abs(solution.xs), axis=0))
+    found = _Solves(static, solver, controls, solution.us, aside)
     paths, tree = jax.tree_util.tree_flatten_with_path(inputs)
     rows: list[GradientRow] = []
     for i, (path, leaf) in enumerate(paths):
@@ -166,12 +167,17 @@ def check_gradients(
 
 
 class _Solves(eqx.Module):
-    """The solve as a function of its differentiable inputs, and its tight counterpart."""
+    """The solve as a function of its differentiable inputs, and its tight counterpart.
+
+    `aside`, how far the disturbed run starts aside, is one number for each state: were it to follow
+    the range of the states, it would have a kink where two of them are the largest.
+    """
 
     static: Any
     solver: AbstractSolver
     start: Array
     optimum: Array
+    aside: Array
 
     def _outputs(self, inputs, solver, us) -> tuple[tuple[Array, ...], Any]:
         whole = eqx.combine(inputs, self.static)
@@ -185,8 +191,8 @@ class _Solves(eqx.Module):
 
     def _policy(self, whole, solution) -> tuple[Array, Array]:
         """Return the gains, and the states of a run that starts aside."""
-        aside = whole["x0"] + ASIDE * (1 + jnp.max(jnp.abs(solution.xs), axis=0))
-        return solution.policy.K, simulate(whole["problem"], solution.policy, aside).xs
+        start = whole["x0"] + self.aside
+        return solution.policy.K, simulate(whole["problem"], solution.policy, start).xs
 
     @jit
     def forward(self, inputs, tangents):

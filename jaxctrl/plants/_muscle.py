@@ -115,6 +115,9 @@ def active_state(
     (2006) are, and 0.505, Brown's value at a = l = 1, gives the controls and speeds on the thesis's
     axes (docs/design.md has the evidence).
 
+    "linear" goes on below a = 0, where a muscle would push: excitations are kept from there by the
+    bounds of the controls.
+
     Arguments:
         a, l: activation and length [L0], of any shapes that broadcast. In Brown's curves an
             activation below `SMALLEST_ACTIVATION` counts as that.

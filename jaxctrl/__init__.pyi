@@ -80,6 +80,7 @@ from .solvers import (
     ILQR as ILQR,
     LBFGS as LBFGS,
     AbstractDirectSolver as AbstractDirectSolver,
+    AbstractShooting as AbstractShooting,
     AbstractSolver as AbstractSolver,
     BoundaryValue as BoundaryValue,
     ConjugateGradient as ConjugateGradient,

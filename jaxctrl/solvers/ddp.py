@@ -1,12 +1,14 @@
 """Differential dynamic programming: the exact second order, with bounds on the controls."""
 
-from typing import ClassVar
+from typing import Literal, get_args
 
 import equinox as eqx
 
 from .._local_model import expand
 from ..linear._engine import find_engine
 from .shooting import AbstractShooting, box_or_free_law
+
+Start = Literal["gauss-newton", "exact"]
 
 
 class DDP(AbstractShooting):
@@ -26,22 +28,34 @@ class DDP(AbstractShooting):
 
     Arguments:
         gradient_tolerance, cost_tolerance, step_tolerance, sweep: as in `ILQR`.
+        start: "gauss-newton", or "exact", the textbook's form: the model is the exact one from the
+            first iteration on, and where it is not convex, or its step does not lower the cost, it
+            is damped until it is (Levenberg-Marquardt, each attempt an iteration with `step` 0).
+            It is there for comparison: far from the optimum it takes more and dearer iterations.
 
-    Raises: ValueError for an unknown `sweep`.
+    Raises: ValueError for an unknown `sweep` or `start`.
     """
 
-    second_order: ClassVar[bool] = True
     gradient_tolerance: float | None = eqx.field(static=True, default=None)
     cost_tolerance: float | None = eqx.field(static=True, default=None)
     step_tolerance: float | None = eqx.field(static=True, default=None)
     sweep: str = eqx.field(static=True, default="sequential")
+    start: Start = eqx.field(static=True, default="gauss-newton")
 
     def __check_init__(self):
         find_engine(self.sweep)
+        if self.start not in get_args(Start):
+            known = " or ".join(f'"{word}"' for word in get_args(Start))
+            raise ValueError(f"start: {known} is wanted, got {self.start!r}")
+
+    @property
+    def second_order(self) -> bool:
+        """Whether there is a model to begin with that is not the exact one."""
+        return self.start == "gauss-newton"
 
     def expand(self, problem, xs, us, near):
-        """Return the model, of exact second order if `near`."""
-        return expand(problem, xs, us, second_order=near)
+        """Return the model, of exact second order if `near`, or always."""
+        return expand(problem, xs, us, second_order=near if self.second_order else True)
 
     def law(self, model, damping, box, guess):
         """Return the model's exact minimiser, in the box if there is one, and what it holds."""

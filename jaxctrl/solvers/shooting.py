@@ -259,10 +259,11 @@ class AbstractShooting(AbstractMinimiser):
     """A solver of this kind: what it expands, the law it makes of that, and what must fall.
 
     Attributes:
-        second_order: whether its model has the second derivatives of the dynamics.
+        second_order: whether it has a second model, of exact second order, to take near the optimum
+            in the place of its first.
     """
 
-    second_order: eqx.AbstractClassVar[bool]
+    second_order: eqx.AbstractVar[bool]
 
     @abc.abstractmethod
     def expand(

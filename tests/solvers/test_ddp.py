@@ -77,3 +77,44 @@ def test_ddp_in_float32_reaches_the_float64_cost(float32):
         problem, x0 = PROBLEMS["torque arm, reach"]()
         wanted = jc.solve(problem, jc.DDP(), x0).cost
     np.testing.assert_allclose(solution.cost, wanted, rtol=1e-3)
+
+
+def test_textbook_ddp_begins_with_the_newton_step():
+    # Effort is dear enough for the exact model to be convex; it is not Gauss and Newton's.
+    plant = jc.FunctionPlant(
+        lambda x, u, t: x + 0.1 * (-x + u * (1 + x**2)), nx=1, nu=1, discrete=True
+    )
+    problem = jc.Problem(plant, jc.QuadraticCost(R=3.0, Qf=2.0, target=2.0), num_steps=15)
+    x0, us = jnp.array([0.3]), problem.nominal_controls
+    xs = problem.rollout(x0, us)
+    model = jc.expand(problem, xs, us, second_order=True)
+    law = jc.linear.lqr(model)
+    assert law.ok  # convex as it is: no damping
+
+    x, newton = x0, []
+    for i, t in enumerate(problem.ts[:-1]):
+        newton.append(us[i] + law.k[i] + law.K[i] @ (x - xs[i]))
+        x = problem.step(x, newton[-1], t)
+    newton = jnp.stack(newton)
+    first = jc.solve(problem, jc.DDP(start="exact"), x0, max_steps=1)
+    assert first.history.step[1] == 1
+    np.testing.assert_allclose(first.us, newton, rtol=1e-9, atol=1e-9)
+    ours = jc.solve(problem, jc.DDP(), x0, max_steps=1)
+    assert float(jnp.abs(ours.us - newton).max()) > 1e-3 * float(jnp.abs(newton).max())
+
+
+@pytest.mark.parametrize("name", ["torque arm, reach", "muscle arm, reach"])
+def test_textbook_ddp_comes_to_the_same_optimum_by_damping_alone(name):
+    problem, x0 = PROBLEMS[name]()
+    textbook, ours = (jc.solve(problem, jc.DDP(start=s), x0) for s in ("exact", "gauss-newton"))
+    assert textbook.status.ok, textbook.status.message
+    np.testing.assert_allclose(textbook.cost, ours.cost, rtol=1e-8)
+    # The exact model is not convex at the start: what ILQR steps by at once is damped first.
+    assert ours.history.step[1] > 0 and textbook.history.step[1] == 0
+    assert textbook.history.lam[2] > 0
+    assert textbook.num_steps > 2 * ours.num_steps
+
+
+def test_an_unknown_start_is_refused():
+    with pytest.raises(ValueError, match='start: "gauss-newton" or "exact" is wanted, got \'newt'):
+        jc.DDP(start="newton")  # pyright: ignore[reportArgumentType]

@@ -14,6 +14,10 @@ import jaxctrl as jc
 
 TARGET = np.array([1.0, 1.5])
 START = (1.5, 1.5)
+COSTS = {"stop": "with a stopping term", "printed": "(4.20) as printed"}
+"""The two costs of the arms, (4.20) with the term that the thesis's text asks for, and without."""
+WINDOW = np.array([[0.95, 1.3], [1.55, 1.6]])
+"""The axes of the thesis's figures 4.2 and 4.4: shoulder and elbow, from and to [rad]."""
 SMOOTHING = 0.025
 """Standard deviation in time of the filter that makes random controls smooth [s]."""
 
@@ -38,10 +42,11 @@ def arm_case(kind: str, num_steps: int, *, stop: bool = True) -> Case:
     )
 
 
-def pendulum_case(num_steps: int) -> Case:
-    """Return the swing-up of the hanging pendulum in 4 s, cost (4.23), r = 1e-5."""
+def pendulum_case(duration: float, num_steps: int) -> Case:
+    """Return the swing-up of the hanging pendulum in a duration [s], cost (4.23), r = 1e-5."""
     return Case(
-        jc.tasks.swing_up(jc.plants.Pendulum(), 4.0, num_steps=num_steps), jnp.array([np.pi, 0.0])
+        jc.tasks.swing_up(jc.plants.Pendulum(), duration, num_steps=num_steps),
+        jnp.array([np.pi, 0.0]),
     )
 
 
@@ -126,6 +131,21 @@ def timed(case: Case, solver: jc.AbstractSolver) -> Callable[..., tuple[jax.Arra
         return jax.lax.fori_loop(0, count, body, (jnp.zeros((), us.dtype), jnp.array(0)))
 
     return lambda us, limit, count: jax.block_until_ready(repeated(leaves, us, limit, count))
+
+
+def outside(paths: np.ndarray, window: np.ndarray) -> str:
+    """Say how far joint angles, paths (..., joint) [rad], lie outside a window (2, joint).
+
+    Returns: such as "elbow to 1.12", or nothing.
+    """
+    flat = paths.reshape(-1, 2)
+    low, high = np.nanmin(flat, axis=0), np.nanmax(flat, axis=0)
+    words = []
+    for i, joint in enumerate(("shoulder", "elbow")):
+        ends = [end for end in (low[i], high[i]) if not window[0, i] <= end <= window[1, i]]
+        if ends:
+            words.append(f"{joint} to " + " and ".join(f"{end:.2f}" for end in ends))
+    return ", ".join(words)
 
 
 def first_within(costs: np.ndarray, best: float, near: Sequence[float]) -> list[float]:

@@ -11,15 +11,18 @@ import numpy as np
 import jaxctrl as jc
 
 from ._chapter_4 import Case, first_within, iterate, random_controls, timed
+from ._differences import DifferencedDDP
+from ._table_4_1_claims import BY_DIFFERENCES
 
 METHODS = {
     "ILQR": jc.ILQR,
     "DDP": jc.DDP,
+    "textbook DDP": partial(jc.DDP, start="exact"),
     "CG": jc.ConjugateGradient,
     "L-BFGS": jc.LBFGS,
     "BVP": jc.BoundaryValue,
 }
-NEAR = (1e-2, 1e-3, 1e-4)
+NEAR = (1e-1, 1e-2, 1e-4)
 AMPLITUDE = {True: 0.3, False: 1.0}
 """Amplitude of the random starts, with and without bounds."""
 
@@ -28,12 +31,18 @@ LONG = 20.0
 """A first call that takes longer [s] is timed once more, not thrice."""
 
 
+def methods(config: Any) -> dict[str, Any]:
+    """Return the methods of a run, by name."""
+    return METHODS | ({BY_DIFFERENCES: DifferencedDDP} if config.differences else {})
+
+
 class Row(NamedTuple):
     """What one method did on one problem; see the variables of the table's result."""
 
     cost: float
     status: str
     steps: int
+    accepted: int
     seconds: list[float]
     spread: list[float]
     wall: list[float]
@@ -45,12 +54,13 @@ def measure(case: Case, config: Any) -> tuple[list[Row], float, tuple[float, flo
     """Return a row for each method, the best cost known, and how ILQR fares undamped."""
     us = case.problem.nominal_controls
     jax.clear_caches()  # what has been solved before must not shorten the first calls
-    first = {name: _first(case, method(), config) for name, method in METHODS.items()}
+    each = methods(config)
+    first = {name: _first(case, method(), config) for name, method in each.items()}
     solutions = [solution for solution, _ in first.values()]
-    costs = [*(float(each.cost) for each in solutions), _search(case, config)]
+    costs = [*(float(solution.cost) for solution in solutions), _search(case, config)]
     best = min(cost for cost in costs if np.isfinite(cost))
     iterates, times = _times(case, first, best, config)
-    rows = [_row(*first[name], iterates[name], times[name]) for name in METHODS]
+    rows = [_row(*first[name], iterates[name], times[name]) for name in each]
     cost, count = iterate(case, jc.ILQR(), us, config.max_steps, _undamp)
     return rows, best, (float(cost) / best - 1, float(count))
 
@@ -93,7 +103,7 @@ def _times(
     """
     iterates, times, calls, places = {}, {}, [], []
     for name, (solution, taken) in first.items():
-        solver = METHODS[name]()
+        solver = methods(config)[name]()
         if isinstance(solver, jc.AbstractDirectSolver):
             iterates[name] = [np.nan] * len(NEAR)
             whole = jc.stopwatch.repeated(partial(jc.solve, case.problem, solver, case.x0))
@@ -121,6 +131,7 @@ def _row(solution: jc.Solution, first: float, iterates: list[float], times: np.n
         cost=float(solution.cost),
         status=solution.status.name,
         steps=int(solution.num_steps),
+        accepted=int((np.asarray(solution.history.step) > 0).sum()),
         seconds=half.tolist(),
         spread=((three - quarter) / 2).tolist(),
         wall=np.median(times[1], axis=0).tolist(),

@@ -1,12 +1,19 @@
 """What the comparisons of chapter 4 are built of, and how their claims are judged."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
 
 import jaxctrl as jc
-from jaxctrl.experiments import _chapter_4 as chapter, _table_4_1_claims as judging, table_4_1
+from jaxctrl.experiments import (
+    _chapter_4 as chapter,
+    _table_4_1_claims as judging,
+    _table_4_1_runs as runs,
+    table_4_1,
+)
+from jaxctrl.experiments._differences import DifferencedDDP, differences, evaluations
 
 
 def test_random_controls_have_the_distribution_that_is_stated():
@@ -54,29 +61,34 @@ def test_the_first_iterate_within_a_tolerance_is_found():
 
 def made_up(seconds, cost, best=1.0):
     """Return a result as `table_4_1.run` does, with the same figures for all problems."""
-    names, problems = list(table_4_1.METHODS), list(table_4_1.PROBLEMS)
-    near = np.array(table_4_1.NEAR)
+    names, problems = list(runs.METHODS), list(table_4_1.PROBLEMS)
+    near = np.array(runs.NEAR)
 
     def every(values):
         return np.stack(
-            [np.asarray(values, dtype=object if isinstance(values[0], str) else float)] * 5
+            [np.asarray(values, dtype=object if isinstance(values[0], str) else float)]
+            * len(problems)
         )
 
+    # The textbook's DDP, here, is as DDP.
+    seconds, cost = [[*v[:2], v[1], *v[2:]] for v in (seconds, cost)]
     seconds = np.asarray(seconds, float)
     iterations = np.where(np.isnan(seconds), np.nan, 7.0)
     iterations[-1] = np.nan
     return xarray.Dataset(
         {
             "cost": (("problem", "solver"), every(cost)),
-            "status": (("problem", "solver"), np.full((5, 5), "CONVERGED_COST")),
-            "steps": (("problem", "solver"), np.full((5, 5), 9)),
-            "seconds": (("problem", "solver", "near"), np.stack([seconds] * 5)),
-            "wall": (("problem", "solver", "near"), np.stack([seconds] * 5)),
-            "spread": (("problem", "solver", "near"), 0.1 * np.stack([seconds] * 5)),
-            "iterations": (("problem", "solver", "near"), np.stack([iterations] * 5)),
-            "first": (("problem", "solver"), np.ones((5, 5))),
-            "best": ("problem", np.full(5, best)),
-            "undamped": (("problem", "measure"), np.tile([1e-9, 9.0], (5, 1))),
+            "status": (("problem", "solver"), np.full((6, 6), "CONVERGED_COST")),
+            "steps": (("problem", "solver"), np.full((6, 6), 9)),
+            "accepted": (("problem", "solver"), np.full((6, 6), 8)),
+            "evaluations": (("problem", "order"), np.tile([32, 513], (6, 1))),
+            "seconds": (("problem", "solver", "near"), np.stack([seconds] * 6)),
+            "wall": (("problem", "solver", "near"), np.stack([seconds] * 6)),
+            "spread": (("problem", "solver", "near"), 0.1 * np.stack([seconds] * 6)),
+            "iterations": (("problem", "solver", "near"), np.stack([iterations] * 6)),
+            "first": (("problem", "solver"), np.ones((6, 6))),
+            "best": ("problem", np.full(6, best)),
+            "undamped": (("problem", "measure"), np.tile([1e-9, 9.0], (6, 1))),
         },
         coords={"problem": problems, "solver": names, "near": near},
     )
@@ -88,7 +100,7 @@ def judged(data):
 
 
 NEVER = [np.nan] * 3
-TENFOLD = "On the muscle arm ILQR is more than 10 times faster than the nearest rival"
+TENFOLD = "ILQR is more than 10 times faster than the nearest rival: muscle arm"
 
 
 def test_claims_hold_when_ilqr_is_far_ahead():
@@ -139,14 +151,61 @@ def test_claims_take_the_tightest_tolerance_that_ilqr_reaches():
         made_up([fast, [0.01, 0.001, 0.001], NEVER, NEVER, NEVER], [1.0005, 1, 1, 1, 1])
     )
     claim = claims["ILQR is the fastest: muscle arm"]
-    assert "within 0.001" in claim.measured and not claim.holds and "no nearer" in claim.note
+    assert "within 0.01" in claim.measured and not claim.holds and "no nearer" in claim.note
+
+
+def test_the_textbooks_ddp_is_judged_by_its_iterations_and_evaluations():
+    data = made_up([[0.001] * 3, [0.02] * 3, [0.03] * 3, [0.02] * 3, NEVER], [1.0] * 5)
+    slower = "DDP as in the textbook needs more iterations than ILQR: muscle arm"
+    cost = "Hessians by differences cost as much as DDP's iterations in the thesis: muscle arm"
+    claims = judged(data)
+    assert not claims[slower].holds and "7 and 7 to 0.0001" in claims[slower].measured
+    assert claims[cost].holds and "beside 32: 16.0 times" in claims[cost].measured
+    data.iterations.loc[{"solver": "textbook DDP", "near": 1e-4}] = 29.0
+    assert judged(data)[slower].holds
+    named = data.solver.values.astype(object)
+    named[1] = judging.BY_DIFFERENCES  # whatever the place
+    assert (
+        "20 times ILQR's time to 0.0001" in judged(data.assign_coords(solver=named))[cost].measured
+    )
+
+
+def test_differences_give_the_exact_hessians_with_the_stated_number_of_evaluations():
+    case, seen = chapter.arm_case("torque", 10), []
+
+    def f(z):
+        return jnp.sin(z[0] * z[1]) + z[2] ** 3 * z[0]
+
+    def counted(z):
+        jax.debug.callback(lambda z: seen.append(z), z)
+        return f(z)
+
+    z = jnp.array([0.3, -1.2, 2.0])
+    np.testing.assert_allclose(differences(counted, z), jax.hessian(f)(z), atol=1e-5)
+    jax.effects_barrier()
+    assert len(seen) == 2 * 3**2 + 1
+    n = case.problem.plant.nx + case.problem.plant.nu
+    assert evaluations(case.problem) == (2 * n, 2 * n**2 + 1) == (12, 73)
+    us = 0.1 * jnp.ones((10, 2))
+    xs = case.problem.rollout(case.x0, us)
+    exact = jc.expand(case.problem, xs, us, second_order=True)
+    got = DifferencedDDP().expand(case.problem, xs, us, False)
+    for name in ("fx", "lxx", "lux", "luu", "vxx"):
+        np.testing.assert_allclose(getattr(got, name), getattr(exact, name), atol=1e-6)
+
+
+def test_what_lies_outside_a_window_is_named():
+    path = np.array([[1.5, 1.5], [1.2, 1.7], [0.9, 1.25]])
+    assert chapter.outside(path, chapter.WINDOW) == "shoulder to 0.90, elbow to 1.25 and 1.70"
+    assert chapter.outside(path[:1], chapter.WINDOW) == ""
 
 
 def test_the_table_has_the_thesiss_columns_beside_ours():
     data = made_up([[0.001] * 3, [0.02] * 3, [0.03] * 3, [0.02] * 3, NEVER], [1.0] * 5)
     head, *rows = judging.table(data, table_4_1.THESIS, table_4_1.PROBLEMS)
-    assert len(rows) == 25 and {len(row) for row in rows} == {len(head)}
+    assert len(rows) == 36 and {len(row) for row in rows} == {len(head)}
     muscle = {row[1]: dict(zip(head, row, strict=True)) for row in rows if row[0] == "muscle arm"}
     assert muscle["BVP"]["thesis s"] == "> 400" and muscle["BVP"]["/ ILQR"] == "–"
-    assert muscle["DDP"]["thesis / ILQR"] == "21.8" and muscle["DDP"]["/ ILQR"] == "20.00"
+    assert muscle["DDP"]["thesis / ILQR"] == "–" and muscle["DDP"]["/ ILQR"] == "20.00"
+    assert muscle["textbook DDP"]["thesis / ILQR"] == "21.8"
     assert muscle["L-BFGS"]["thesis s"] == "–"

@@ -27,8 +27,12 @@ FAILING = {
         "The later the passing, the later the speed's valley (torque change)",
         "The via-points are passed (energy)",
     },
+    "fig-4.1": {
+        "The joints of the torque-driven arm stay within the figure's axes, with a stopping term",
+        "The joints of the torque-driven arm stay within the figure's axes, (4.20) as printed",
+    },
     "table-4.1": {
-        "ILQR needs the fewest iterations: pendulum",
+        "Hessians by differences cost as much as DDP's iterations in the thesis: pendulum",
         "ILQR needs Levenberg-Marquardt damping for stable iterations",
     },
     "two-thirds": {

@@ -31,6 +31,10 @@ MISS = 0.005
 AMPLITUDE = 0.3
 """Random starts are constant excitations from U[0, AMPLITUDE]; our choice."""
 
+SLIGHT = (0.005, 0.15)
+"""What counts as slightly curved, deviation over length: the median above the first, and 95 % of
+the movements below the second; our choice."""
+
 MODELS = {"torque change": jc.models.MinimumTorqueChange, "energy": jc.models.MinimumEnergy}
 
 
@@ -241,6 +245,21 @@ def least_jerk(movement: Movement, ts: np.ndarray) -> jc.models.Path:
 def milliseconds(time: float) -> str:
     """Write a time [s] in milliseconds, or that there is none."""
     return f"{1e3 * time:.0f} ms" if np.isfinite(time) else "none"
+
+
+def slightly_curved(bends: np.ndarray) -> tuple[bool, str]:
+    """Tell whether paths are slightly curved by `SLIGHT`, and say by how much they are.
+
+    Arguments:
+        bends: deviation from the straight line over its length, (n,), signed or not.
+    """
+    sizes = np.abs(bends)
+    middle, high = float(np.median(sizes)), float(np.percentile(sizes, 95))
+    text = (
+        f"median {100 * middle:.1f} % of the length, 95 % below {100 * high:.1f} %, largest "
+        f"{100 * sizes.max():.1f} %"
+    )
+    return middle > SLIGHT[0] and high < SLIGHT[1], text
 
 
 def passed(data: xarray.Dataset, model: str, source: str) -> Claim:

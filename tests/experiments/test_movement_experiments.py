@@ -10,7 +10,7 @@ import jaxctrl as jc
 from jaxctrl._integrate import RK4
 from jaxctrl._problem import Problem
 from jaxctrl.analysis import curvature, path_length
-from jaxctrl.experiments import _closed_paths as shapes, curvature_map
+from jaxctrl.experiments import _closed_paths as shapes, _planned, curvature_map
 from jaxctrl.experiments._free_timing import ClosedPath, OnPath, PathCost, StepOnPath
 from jaxctrl.plants import FreeHand, MuscleArm, PolynomialJerk, TorqueArm
 from jaxctrl.tasks import Effort
@@ -121,7 +121,24 @@ def test_two_starts_must_agree_for_a_reach_to_count():
     )
     hands = np.array([[bent, bent, straight], [bent, straight, bent], [straight, bent, bent]])
     costs = np.array([[1.0, 1.0, np.inf], [1.005, 1.001, np.inf], [2.0, 1.5, np.inf]])
-    args = np.zeros((3, 3), int), np.zeros((3, 2)), np.tile([0.1, 0.0], (3, 1))
-    data = curvature_map._measured(*args, hands, costs, config)
-    assert data.solved.values.tolist() == [True, False, False]
-    assert_allclose(data.curvature.values[0], 0.2)
+    kept = curvature_map._kept(hands, costs, np.tile([0.1, 0.0], (3, 1)), config)
+    assert kept["solved"].tolist() == [True, False, False]
+    assert kept["first"].tolist() == [True, True, False]
+    assert_allclose(kept["curvature"][0], 0.2)
+    assert_allclose(kept["error"], 0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("bends", "holds"),
+    [
+        (np.full(20, 0.03), True),
+        (np.full(20, -0.03), True),
+        (np.full(20, 0.004), False),  # straight
+        (np.r_[np.full(18, 0.03), 0.3, 0.3], False),  # a tenth of them bends strongly
+        (np.r_[np.full(39, 0.03), 0.3], True),
+    ],
+)
+def test_slightly_curved_is_neither_straight_nor_bent_in_more_than_one_of_twenty(bends, holds):
+    found, text = _planned.slightly_curved(bends)
+    assert found is holds
+    assert text.startswith(f"median {100 * np.median(abs(bends)):.1f} % of the length")

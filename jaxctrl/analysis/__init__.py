@@ -24,9 +24,9 @@ from ._peaks import (
     speed_peaks as speed_peaks,
 )
 from ._power_law import (
-    HUMAN_EXPONENT as HUMAN_EXPONENT,
     PowerLaw as PowerLaw,
     PowerLawNull as PowerLawNull,
+    least_jerk_exponent as least_jerk_exponent,
     power_law as power_law,
     power_law_null as power_law_null,
 )

@@ -10,13 +10,6 @@ from scipy.signal import butter, correlate, sosfiltfilt
 from .. import _samples
 from ._kinematics import curvature as measure_curvature, speed as measure_speed
 
-HUMAN_EXPONENT = (0.338, 0.009)
-"""Value for human ellipses and its spread, as an exponent of r: v ~ r^0.338.
-
-Quoted as -0.338 +- 0.009 for the exponent of kappa, beside the law's -1/3. We could not establish
-who measured it, nor whether the spread is a standard deviation or a standard error.
-"""
-
 STRAIGHT = 1.0
 """Curvature [1/m] up to which samples count as straight by default.
 
@@ -109,6 +102,26 @@ def power_law(
         interval=(float(lower), float(upper)),
         num_samples=log_r.size,
     )
+
+
+def least_jerk_exponent(frequency: Any) -> np.ndarray:
+    """Return the exponent of the radius of curvature under least jerk, for one kind of shape.
+
+    beta(nu) = (2/3) (1 + nu^2/2) / (1 + nu^2 + nu^4/15)    (Huh & Sejnowski 2015, PNAS 112, E3950)
+
+    It is that of paths whose log curvature oscillates slightly, as cos(nu theta) over the angle
+    theta of the tangent, once their timing is that of least jerk: v ~ r^beta. It falls from 2/3 of
+    a logarithmic spiral, nu = 0, over 0.330 of an ellipse near the circle, nu = 2, towards 0.
+
+    Arguments:
+        frequency: nu, cycles of the log curvature while the tangent turns by 2 pi; of any shape.
+    Returns: beta, of the same shape.
+    Raises: ValueError for a frequency that is negative or not finite.
+    """
+    nu = _samples.numbers("frequency", frequency, "()")
+    if not np.isfinite(nu).all() or (nu < 0).any():
+        raise ValueError(f"frequency: finite numbers from 0 are wanted, got {frequency}")
+    return np.asarray((2 / 3) * (1 + nu**2 / 2) / (1 + nu**2 + nu**4 / 15))
 
 
 def power_law_null(

@@ -7,7 +7,9 @@ from matplotlib.figure import Figure
 
 import jaxctrl as jc
 
+from . import _closed_paths as shapes
 from ._result import Result
+from ._shape_prediction import predicted_exponent
 
 MODELS = ("torque", "muscle", "jerk")
 FAMILIES = ("ellipse", "scribble")
@@ -28,6 +30,18 @@ def pooled(result: Result, model: str, family: str) -> jc.analysis.PowerLaw:
     names = [name for name in result.data.curve.values if name.startswith(family)]
     data = result.data.sel(model=model, curve=names)
     return law_of(data.hand.values, data.velocity.values, data.time.values, result.config.trim)
+
+
+def predictions(result: Result) -> np.ndarray:
+    """Return what theory predicts of least jerk on each scribble, NaN where it predicts nothing.
+
+    The predicted speed is sampled where the movement was, and goes through the same estimator.
+    """
+    config = result.config
+    names, waves = shapes.scribbles(config.scribbles, config.harmonics, config.tightest)
+    phases = result.data.phase.sel(model="jerk", curve=names).values
+    pairs = zip(waves, phases, strict=True)
+    return np.array([predicted_exponent(wave, phase, config.trim) for wave, phase in pairs])
 
 
 def figure(result: Result) -> Figure:
@@ -104,6 +118,9 @@ def _summary(ax: Axes, result: Result) -> None:
                 ax.plot(law.interval, (y, y), color="C0", lw=1.5)
                 ax.plot(law.exponent, y, "o", color="C0", ms=5)
                 rows.append(f"{family}s, {SHORT[model]}")
+            if family == "scribble" and np.isfinite(theory := predictions(result)).any():
+                ax.plot(theory, np.full(theory.shape, len(rows)), "D", color="C2", mfc="none", ms=4)
+                rows.append("(these without inflection, predicted)")
             y, uniform = len(rows), data.uniform.sel(curve=names).values
             ax.plot(uniform, np.full(uniform.shape, y), "o", color="0.7", ms=3, mew=0)
             ax.plot(uniform.mean(), y, "s", color="C1", ms=4)
@@ -114,7 +131,7 @@ def _summary(ax: Axes, result: Result) -> None:
         rows.append("constant speed")
         mean, sd = data.null.values.mean(), data.null.values.std(ddof=1)
         ax.axvspan(mean - sd, mean + sd, color="0.9", zorder=0, label="noise, mean and SD")
-        ax.axvline(jc.analysis.HUMAN_EXPONENT[0], color="C3", lw=1, label="humans, ellipses")
+        ax.axvline(1 / 3, color="C3", lw=1, label="two-thirds law, 1/3")
         ax.set_yticks(range(len(rows)), rows)
         ax.invert_yaxis()
         ax.set_xlabel("exponent of the radius of curvature")

@@ -1,5 +1,7 @@
 """The two-thirds power law: exact where it holds, absent where it does not, and in pure noise."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import linregress
@@ -140,9 +142,41 @@ def test_the_null_depends_on_size_and_straightness_only_by_their_product():
     np.testing.assert_allclose(small.exponents, large.exponents)
 
 
-def test_the_human_exponent_is_that_of_the_law():
-    value, spread = analysis.HUMAN_EXPONENT
-    assert abs(value - 1 / 3) < spread
+def least_jerk_by_newton(frequency, eps=1e-3, num=64):
+    """Return the exponent of a path with log curvature eps cos(frequency theta), timed optimally.
+
+    The rate of the tangent's angle theta is exp(sum_k a_k cos(k frequency theta)); least is the
+    integral of the squared jerk times the fifth power of the duration, which no tempo changes.
+    Derivatives are Fourier's, the optimum is Newton's.
+    """
+    theta = 2 * np.pi * np.arange(num) / num
+    order = np.fft.fftfreq(num, 1 / num) * (np.arange(num) != num // 2)
+    slope = np.fft.ifft(1j * order[:, None] * np.fft.fft(np.eye(num), axis=0), axis=0).real
+    cosines = np.cos(frequency * np.outer(theta, np.arange(1, 4)))
+
+    def cost(a):
+        rate = jnp.exp(cosines @ a)
+        velocity = rate * np.exp(1j * theta - eps * np.cos(frequency * theta))
+        jerk = rate * (slope @ (rate * (slope @ velocity)))
+        return jnp.log(jnp.sum(jnp.abs(jerk) ** 2 / rate)) + 5 * jnp.log(jnp.sum(1 / rate))
+
+    a = jnp.zeros(3)
+    for _ in range(5):
+        a = a - jnp.linalg.solve(jax.hessian(cost)(a), jax.grad(cost)(a))
+    assert np.linalg.eigvalsh(jax.hessian(cost)(a)).min() > 0  # so it is a minimum
+    return 1 - float(a[0]) / eps  # log v = log rate - log kappa = -beta log kappa
+
+
+@pytest.mark.parametrize("frequency", [2, 3, 5])
+def test_the_exponent_of_least_jerk_is_that_of_optimal_timing_near_the_circle(frequency):
+    wanted = least_jerk_by_newton(frequency)
+    assert analysis.least_jerk_exponent(frequency) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_the_exponent_of_least_jerk_falls_from_two_thirds_to_zero():
+    beta = analysis.least_jerk_exponent([0.0, 2.0, 1e4])
+    np.testing.assert_allclose(beta, [2 / 3, 30 / 91, 0], atol=1e-7)
+    assert analysis.least_jerk_exponent(np.ones((2, 3))).shape == (2, 3)
 
 
 WRONG = {
@@ -178,6 +212,10 @@ WRONG = {
     "straight": (
         lambda: analysis.power_law(KAPPA, KAPPA, straight=-1),
         "straight: a curvature .* of at least 0 is wanted, got -1",
+    ),
+    "frequency": (
+        lambda: analysis.least_jerk_exponent([2.0, -1.0]),
+        r"frequency: finite numbers from 0 are wanted, got \[2.0, -1.0\]",
     ),
     "trim": (
         lambda: analysis.power_law(KAPPA, KAPPA, trim=0.5),

@@ -39,6 +39,7 @@ FAILING = {
         "The two-thirds power law holds for scribbles under least energy of six muscles, timing "
         "free",
         "The two-thirds power law holds for scribbles under least jerk, timing free",
+        "Least jerk gives scribbles without inflections the exponents predicted of their shapes",
         "The exponents of optimal scribbles differ from that of smoothed noise",
     },
     "curvature-map": {

@@ -10,7 +10,12 @@ import jaxctrl as jc
 from jaxctrl._integrate import RK4
 from jaxctrl._problem import Problem
 from jaxctrl.analysis import curvature, path_length
-from jaxctrl.experiments import _closed_paths as shapes, _planned, curvature_map
+from jaxctrl.experiments import (
+    _closed_paths as shapes,
+    _planned,
+    _shape_prediction,
+    curvature_map,
+)
 from jaxctrl.experiments._free_timing import ClosedPath, OnPath, PathCost, StepOnPath
 from jaxctrl.plants import FreeHand, MuscleArm, PolynomialJerk, TorqueArm
 from jaxctrl.tasks import Effort
@@ -142,3 +147,27 @@ def test_slightly_curved_is_neither_straight_nor_bent_in_more_than_one_of_twenty
     found, text = _planned.slightly_curved(bends)
     assert found is holds
     assert text.startswith(f"median {100 * np.median(abs(bends)):.1f} % of the length")
+
+
+def test_prediction_by_shape_is_that_of_two_cycles_a_turn_on_ellipses_near_the_circle(wave):
+    ellipse = np.zeros((3, 2, 2))
+    ellipse[0] = [0.05, 0.0], [0.0, 0.048]
+    phase = np.linspace(0, 4 * np.pi, 401)
+    for path in (ellipse, ellipse[:, ::-1]):  # either way round
+        found = _shape_prediction.predicted_exponent(path, phase, 0.0)
+        assert_allclose(found, jc.analysis.least_jerk_exponent(2), atol=1e-3)
+    assert not _shape_prediction.has_inflections(ellipse)
+
+
+def test_a_path_with_inflections_has_no_prediction(wave):
+    assert _shape_prediction.has_inflections(wave)
+    assert np.isnan(_shape_prediction.predicted_exponent(wave, np.linspace(0, 6, 100), 0.0))
+
+
+def test_two_rounds_of_tangent_count_as_two():
+    """A path that turns twice before it closes has components of half a cycle a turn."""
+    _, waves = shapes.scribbles(5, 3, 300.0)
+    assert not _shape_prediction.has_inflections(waves[4])
+    found = _shape_prediction.predicted_exponent(waves[4], np.linspace(0, 4 * np.pi, 801), 0.0)
+    low, high = jc.analysis.least_jerk_exponent([3.0, 0.5])
+    assert low < found < high

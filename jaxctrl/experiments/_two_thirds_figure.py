@@ -120,7 +120,7 @@ def _summary(ax: Axes, result: Result) -> None:
                 rows.append(f"{family}s, {SHORT[model]}")
             if family == "scribble" and np.isfinite(theory := predictions(result)).any():
                 ax.plot(theory, np.full(theory.shape, len(rows)), "D", color="C2", mfc="none", ms=4)
-                rows.append("(these without inflection, predicted)")
+                rows.append("predicted (no inflection)")
             y, uniform = len(rows), data.uniform.sel(curve=names).values
             ax.plot(uniform, np.full(uniform.shape, y), "o", color="0.7", ms=3, mew=0)
             ax.plot(uniform.mean(), y, "s", color="C1", ms=4)

@@ -25,10 +25,13 @@ def _active(bounds):
     """Return a problem whose muscles neither start at rest nor get there.
 
     At u = a the activation's time constant jumps, at v = 0 the slope of the force-velocity curve:
-    an optimum there has a derivative on either side.
+    an optimum there has a derivative on either side. The effort is dear, or the weights of the
+    goal would hardly count.
     """
-    problem, x0 = _with("muscle arm, posture", bounds)
-    return problem, x0.at[2:].set(jnp.array([0.3, -0.2] + 6 * [0.05]))
+    arm = jc.plants.MuscleArm()
+    problem = jc.tasks.posture(arm, jnp.array([1.0, 1.7]), 0.5, effort=0.1)
+    x0 = arm.at_rest(shoulder=0.785, elbow=1.571)
+    return with_bounds(problem, bounds), x0.at[2:].set(jnp.array([0.3, -0.2] + 6 * [0.05]))
 
 
 # Few active bounds and many.

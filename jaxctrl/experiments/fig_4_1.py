@@ -98,7 +98,7 @@ def run(config: Config) -> Result:
 def figure(result: Result) -> Figure:
     """Draw joint angles of both arms over time, and the pendulum in its phase plane."""
     data = result.data
-    fig, axes = jc.plot.panels(2, 3, size=(10.0, 4.4), sharex="col")
+    fig, axes = jc.plot.panels(2, 3, size=(10.0, 4.4), sharex=True)
     for column, (arm, title) in enumerate((("torque", "A  torques"), ("muscle", "B  six muscles"))):
         for row in range(2):
             with jc.plot.style():

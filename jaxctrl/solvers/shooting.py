@@ -263,7 +263,7 @@ class AbstractShooting(AbstractMinimiser):
             in the place of its first.
     """
 
-    second_order: eqx.AbstractVar[bool]
+    second_order: eqx.AbstractClassVar[bool]
 
     @abc.abstractmethod
     def expand(

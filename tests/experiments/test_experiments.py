@@ -31,6 +31,10 @@ FAILING = {
         "The joints of the torque-driven arm stay within the figure's axes, with a stopping term",
         "The joints of the torque-driven arm stay within the figure's axes, (4.20) as printed",
     },
+    "fig-4.4": {
+        "The torque arm's converged paths stay within the figure's axes, with a stopping term",
+        "The torque arm's converged paths stay within the figure's axes, (4.20) as printed",
+    },
     "table-4.1": {
         "Hessians by differences cost as much as DDP's iterations in the thesis: pendulum",
         "ILQR needs Levenberg-Marquardt damping for stable iterations",

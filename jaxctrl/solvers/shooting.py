@@ -256,14 +256,12 @@ def _judge(problem, old: ShootingState, new: ShootingState, tolerances: Toleranc
 
 
 class AbstractShooting(AbstractMinimiser):
-    """A solver of this kind: what it expands, the law it makes of that, and what must fall.
+    """A solver of this kind: what it expands, the law it makes of that, and what must fall."""
 
-    Attributes:
-        second_order: whether it has a second model, of exact second order, to take near the optimum
-            in the place of its first.
-    """
-
-    second_order: eqx.AbstractClassVar[bool]
+    @property
+    @abc.abstractmethod
+    def second_order(self) -> bool:
+        """Whether it has a second model, exact to second order, which it takes near the optimum."""
 
     @abc.abstractmethod
     def expand(

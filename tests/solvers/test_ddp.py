@@ -43,7 +43,7 @@ def test_ddp_ends_no_higher_than_ilqr(name):
     ddp, ilqr = (jc.solve(problem, solver, x0) for solver in (jc.DDP(), jc.ILQR()))
     assert ddp.status.ok, ddp.status.message
     assert ddp.cost <= ilqr.cost * (1 + 1e-3)
-    # Around the obstacle neither model is convex at the start: both are tried, damped ever more, and
+    # Around the obstacle neither model is convex at the start: both are tried, damped ever more;
     # of 51 iterations 28 lead to nothing.
     further = 30 if name == "muscle arm, obstacle" else 5
     assert ddp.num_steps <= ilqr.num_steps + further

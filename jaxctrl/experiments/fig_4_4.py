@@ -202,7 +202,8 @@ def _draw_cloud(ax: Axes, paths: np.ndarray) -> None:
     if beyond:
         ax.annotate(
             "cut: " + beyond.replace(", ", "\n"), (0.03, 0.05), xycoords="axes fraction",
-            fontsize=7, color="0.35",
+            fontsize=7, color="0.35", zorder=6,
+            bbox={"facecolor": "w", "edgecolor": "none", "pad": 1.5},
         )  # fmt: skip
     ax.set_xlim(*WINDOW[:, 0])
     ax.set_ylim(*WINDOW[:, 1])

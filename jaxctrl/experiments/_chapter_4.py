@@ -29,15 +29,22 @@ class Case(NamedTuple):
     x0: jax.Array
 
 
-def arm_case(kind: str, num_steps: int, *, stop: bool = True) -> Case:
+def arm_case(
+    kind: str,
+    num_steps: int,
+    *,
+    stop: bool = True,
+    duration: float = 0.5,
+    effort: float = 1e-4,
+) -> Case:
     """Return a movement of the "torque" or the "muscle" arm from (1.5, 1.5) to (1, 1.5) rad.
 
-    Cost (4.20), r = 1e-4, T = 0.5 s; `stop` adds the term that the thesis's text asks for and its
-    formula lacks. The start is our choice.
+    Cost (4.20) with r = `effort`, T = `duration` [s]; `stop` adds the term that the thesis's text
+    asks for and its formula lacks. The start is our choice.
     """
     arm = jc.plants.TorqueArm() if kind == "torque" else jc.plants.MuscleArm()
     return Case(
-        jc.tasks.posture(arm, TARGET, 0.5, num_steps=num_steps, stop=stop, effort=1e-4),
+        jc.tasks.posture(arm, TARGET, duration, num_steps=num_steps, stop=stop, effort=effort),
         arm.at_rest(*START),
     )
 

@@ -326,17 +326,17 @@ def depths(found: Sequence[Valley]) -> str:
 
 def at_the_bend(statement: str, source: str, found: Sequence[Valley]) -> Claim:
     """Judge whether valleys of the speed coincide with peaks of the curvature."""
-    gaps = [abs(v.time - v.bend) for v in found if np.isfinite(v.bend)]
-    holds = bool(gaps) and max(gaps) <= 0.04
-    apart = f"at most {1e3 * max(gaps):.0f} ms apart; " if gaps else ""
+    gaps = np.array([abs(v.time - v.bend) for v in found if np.isfinite(v.time)])
+    holds = gaps.size > 0 and bool((gaps <= 0.04).all())  # NaN, a valley without a bend, does not
+    apart = f"at most {1e3 * gaps.max():.0f} ms apart; " if gaps.size else ""
     return Claim(
         statement,
         source,
         "within 40 ms of each other, where the speed has a valley (our reading)",
-        f"{apart}{len(gaps)} of {len(found)} movements have a valley, at "
+        f"{apart}{gaps.size} of {len(found)} movements have a valley, at "
         + ", ".join(milliseconds(valley.time) for valley in found),
         holds,
-        "" if holds else "no movement has two peaks" * (not gaps) or "the bend comes elsewhere",
+        "" if holds else "the bend comes elsewhere" if gaps.size else "no movement has two peaks",
     )
 
 

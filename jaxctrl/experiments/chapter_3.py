@@ -47,6 +47,8 @@ class Config:
             raise ValueError(
                 f"experiments: some of {'; '.join(MODULES)} are wanted, got {self.experiments!r}"
             )
+        if not _split(self.active_states):
+            raise ValueError("active_states: at least one is wanted")
         for state in _split(self.active_states):
             jc.plants.MuscleArm(active_state=state)  # pyright: ignore[reportArgumentType]
 
@@ -111,7 +113,7 @@ def figure(result: Result) -> Figure:
                 of = part.holds.values[part.experiment.values == name].astype(bool)
                 at = k + (i + 0.5) * width - 0.4
                 ax.barh(at, of.size, width, color="0.92", edgecolor="0.7", linewidth=0.5)
-                label = f"{curve}" if k == 0 else None
+                label = str(curve) if k == 0 else None
                 ax.barh(at, of.sum(), width, color=f"C{i}", label=label)
         ax.set_yticks(range(len(names)), names)
         ax.invert_yaxis()

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 import jaxctrl as jc
 
-from ._chapter_4 import COSTS, START, TARGET, outside
+from ._chapter_4 import COSTS, TARGET, arm_case, outside
 from ._result import Claim, Result, named
 
 AXES = np.array([[1.0, 1.3], [1.5, 1.6]])
@@ -46,18 +46,17 @@ class Config:
 
 def run(config: Config) -> Result:
     """Solve the seven problems; arrays lead with the cost and the arm, or the pendulum's start."""
-    arms, statuses, angles = (jc.plants.TorqueArm(), jc.plants.MuscleArm()), [], []
+    statuses, angles = [], []
     for cost in COSTS:
-        for arm in arms:
-            problem = jc.tasks.posture(
+        for arm in ("torque", "muscle"):
+            case = arm_case(
                 arm,
-                TARGET,
-                config.duration,
+                config.num_steps,
                 stop=cost == "stop",
-                num_steps=config.num_steps,
+                duration=config.duration,
                 effort=config.effort,
             )
-            solution = jc.solve(problem, jc.ILQR(), arm.at_rest(*START))
+            solution = jc.solve(case.problem, jc.ILQR(), case.x0)
             statuses.append(solution.status)
             angles.append(np.asarray(solution.xs[:, :2]))
     pendulum = jc.tasks.swing_up(
@@ -145,7 +144,11 @@ def _draw_joint(ax: Axes, data: xarray.Dataset, row: int) -> None:
 
 def claims(result: Result) -> list[Claim]:
     """Compare with what the thesis says of its figure 4.1."""
-    data, found = result.data, []
+    return [*_of_arms(result.data), *_of_the_pendulum(result.data)]
+
+
+def _of_arms(data: xarray.Dataset) -> list[Claim]:
+    found = []
     for cost, words in COSTS.items():
         for arm, panel in (("torque", "A"), ("muscle", "B")):
             angles, source = data.angles.sel(cost=cost, arm=arm).values, f"fig. 4.1{panel}"
@@ -174,34 +177,33 @@ def claims(result: Result) -> list[Claim]:
                     else "The thesis states neither its start nor which of the costs it has.",
                 )
             )
+    return found
+
+
+def _of_the_pendulum(data: xarray.Dataset) -> list[Claim]:
     ends = np.abs(data.pendulum.values[:, -1])
-    found.append(
+    hanging = data.pendulum.sel(start="S2", state="angle").values
+    speed = float(np.abs(data.pendulum.sel(state="rate")).max())
+    return [
         Claim(
             "The pendulum stands upright and still at the end, from each of three starts",
             "Li (2006), fig. 4.1C",
             "within 0.05 rad and 0.05 rad/s",
             f"largest error {ends[:, 0].max():.1e} rad, {ends[:, 1].max():.1e} rad/s",
             bool((ends < 0.05).all()),
-        )
-    )
-    hanging = data.pendulum.sel(start="S2", state="angle").values
-    found.append(
+        ),
         Claim(
             "From hanging down (S2) it swings directly up, without swinging back first",
             "Li (2006), section 4.3.2",
             "angle falls all the way",
             f"largest rise in a step {np.diff(hanging).max():.1e} rad",
             bool(np.diff(hanging).max() <= 1e-3),
-        )
-    )
-    speed = float(np.abs(data.pendulum.sel(state="rate")).max())
-    found.append(
+        ),
         Claim(
             "Its rate stays within the figure's axis",
             "Li (2006), fig. 4.1C",
             "0 ... -15 rad/s",
             f"at most {speed:.1f} rad/s",
             speed <= 15,
-        )
-    )
-    return found
+        ),
+    ]

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 import jaxctrl as jc
 
-from ._chapter_4 import COSTS, START, TARGET, WINDOW, Case, outside, paths_of
+from ._chapter_4 import COSTS, TARGET, WINDOW, arm_case, outside, paths_of
 from ._result import Claim, Result, named
 
 SHOWN = 9
@@ -41,22 +41,14 @@ class Config:
 
 def run(config: Config) -> Result:
     """Solve under both costs, and keep the path of each of the first iterations."""
-    arm = jc.plants.MuscleArm()
-    x0 = arm.at_rest(*START)
-    levels = config.amplitude * jax.random.uniform(jax.random.key(config.seed), (arm.nu,))
-    us = jnp.broadcast_to(levels, (config.num_steps, arm.nu))
+    levels = config.amplitude * jax.random.uniform(jax.random.key(config.seed), (6,))
+    us = jnp.broadcast_to(levels, (config.num_steps, 6))
+    given = {"duration": config.duration, "effort": config.effort}
     paths, solutions = [], []
     for cost in COSTS:
-        problem = jc.tasks.posture(
-            arm,
-            TARGET,
-            config.duration,
-            stop=cost == "stop",
-            num_steps=config.num_steps,
-            effort=config.effort,
-        )
-        solutions.append(jc.solve(problem, jc.ILQR(), x0, us))
-        paths.append(np.asarray(paths_of(Case(problem, x0), us[None], tuple(range(SHOWN))))[:, 0])
+        case = arm_case("muscle", config.num_steps, stop=cost == "stop", **given)
+        solutions.append(jc.solve(case.problem, jc.ILQR(), case.x0, us))
+        paths.append(np.asarray(paths_of(case, us[None], tuple(range(SHOWN))))[:, 0])
     count = max(int(solution.num_steps) for solution in solutions) + 1
     failed = [each.status.message for each in solutions if not bool(each.status.ok)]
     data = xarray.Dataset(
@@ -78,7 +70,7 @@ def run(config: Config) -> Result:
             ),
         },
         coords={
-            "time": ("time", np.asarray(problem.ts), named("time", "s")),
+            "time": ("time", np.asarray(case.problem.ts), named("time", "s")),
             "cost": ("cost", list(COSTS), {"long_name": "cost (4.20), and with a stopping term"}),
             "joint": ("joint", ["shoulder", "elbow"], {"long_name": "joint"}),
         },

@@ -129,7 +129,7 @@ def active_state(
     if as_curve(curve) == "linear":
         return FULL_ACTIVE_STATE * a
     exponent = _exponent(l, curve)
-    a = jnp.where(a > SMALLEST_ACTIVATION, a, SMALLEST_ACTIVATION)
+    a = jnp.where(a < SMALLEST_ACTIVATION, SMALLEST_ACTIVATION, a)  # so that NaN stays NaN
     return -jnp.expm1(-_power(a / (0.56 * exponent), exponent))
 
 
@@ -154,8 +154,8 @@ def activation_of_state(
     exponent = _exponent(l, curve)
     # The slope at A = 0 is infinite; there the activation is SMALLEST_ACTIVATION and flat.
     least = active_state(jnp.full_like(l, SMALLEST_ACTIVATION), l, curve)
-    rate = -jnp.log1p(-jnp.where(least < A, A, least))
-    return jnp.where(least < A, 0.56 * exponent * _power(rate, 1 / exponent), SMALLEST_ACTIVATION)
+    rate = -jnp.log1p(-jnp.where(least >= A, least, A))
+    return jnp.where(least >= A, SMALLEST_ACTIVATION, 0.56 * exponent * _power(rate, 1 / exponent))
 
 
 def _floats(*numbers):

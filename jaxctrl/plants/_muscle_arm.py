@@ -116,11 +116,18 @@ class AbstractMusculoskeletalArm(AbstractSkeletalArm):
         return self.muscle_torque(x)
 
     def _rest(self, q, activation):
+        return jnp.concatenate([q, jnp.zeros_like(q), self.as_activation(activation)])
+
+    def as_activation(self, activation: ArrayLike) -> Float[Array, " m"]:
+        """Return activations of shape (m,), from a scalar or (m,).
+
+        Raises ValueError for what is not finite, of another shape, or negative.
+        """
         a = state_part("activation", activation, self.muscles.pcsa, (self.muscles.m,))
         numbers = known(activation)
         if numbers is not None and (numbers < 0).any():
             raise ValueError(f"activation: at least 0 is wanted, got {activation}")
-        return jnp.concatenate([q, jnp.zeros_like(q), a])
+        return a
 
 
 class MusculoskeletalArm(AbstractMusculoskeletalArm):

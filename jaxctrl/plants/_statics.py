@@ -6,10 +6,9 @@ from jaxtyping import Array, ArrayLike, Float
 
 from .._jit import jit
 from ._muscle_arm import AbstractMusculoskeletalArm
-from ._parameters import state_part
+from ._parameters import radians
 
 
-@jit
 def isometric_torque(
     arm: AbstractMusculoskeletalArm, q: ArrayLike, activation: ArrayLike
 ) -> Float[Array, " n"]:
@@ -22,12 +21,12 @@ def isometric_torque(
         q: joint angles [rad], shape (n,).
         activation: a, scalar or (m,).
 
-    Raises ValueError, naming the argument, for a wrong shape.
+    Raises ValueError, naming the argument, for a wrong shape, what is not finite, angles in
+    degrees, or a negative activation.
     """
     return _torque(arm, *_posture(arm, q, activation))
 
 
-@jit
 def joint_stiffness(
     arm: AbstractMusculoskeletalArm, q: ArrayLike, activation: ArrayLike
 ) -> Float[Array, "n n"]:
@@ -38,13 +37,11 @@ def joint_stiffness(
     It is symmetric, since the torques of given activations have a potential. Where a muscle is on
     the falling branch of its force-length curve, it may have negative eigenvalues.
 
-    Arguments: as `isometric_torque`. Raises ValueError, naming the argument, for a wrong shape.
+    Arguments, and what is refused: as `isometric_torque`.
     """
-    q, a = _posture(arm, q, activation)
-    return -jax.jacfwd(lambda q: _torque(arm, q, a))(q)
+    return _joint_stiffness(arm, *_posture(arm, q, activation))
 
 
-@jit
 def endpoint_stiffness(
     arm: AbstractMusculoskeletalArm, q: ArrayLike, activation: ArrayLike
 ) -> Float[Array, "dim dim"]:
@@ -58,22 +55,33 @@ def endpoint_stiffness(
     is that of least squares, and what torque is left is held at the joints. NaN or infinite where
     the arm is straight.
 
-    Arguments: as `isometric_torque`. Raises ValueError, naming the argument, for a wrong shape.
+    Arguments, and what is refused: as `isometric_torque`.
     """
-    q, a = _posture(arm, q, activation)
+    return _endpoint_stiffness(arm, *_posture(arm, q, activation))
+
+
+def _posture(arm, q, activation):
+    """Check what is known of the arguments, which within a compiled function nothing would be."""
+    q = radians("q", q, arm.muscles.pcsa, (arm.skeleton.n,))
+    return q, arm.as_activation(activation)
+
+
+@jit
+def _torque(arm, q, a):
+    still = jnp.zeros_like(arm.paths.optimal_length)
+    return arm.paths.torque(q, arm.muscles.tension(a, arm.muscle_length(q), still))
+
+
+@jit
+def _joint_stiffness(arm, q, a):
+    return -jax.jacfwd(lambda q: _torque(arm, q, a))(q)
+
+
+@jit
+def _endpoint_stiffness(arm, q, a):
     torque, jacobian = _torque(arm, q, a), jax.jacfwd(arm.skeleton.hand)
     G = jacobian(q)
     force = -jnp.linalg.solve(G @ G.T, G @ torque)
     geometric = jax.jacfwd(lambda q: jacobian(q).T @ force)(q)
-    stiffness = -jax.jacfwd(lambda q: _torque(arm, q, a))(q) - geometric
+    stiffness = _joint_stiffness(arm, q, a) - geometric
     return jnp.linalg.inv(G @ jnp.linalg.solve(stiffness, G.T))
-
-
-def _posture(arm, q, activation):
-    q = state_part("q", q, arm.muscles.pcsa, (arm.skeleton.n,))
-    return q, state_part("activation", activation, arm.muscles.pcsa, (arm.muscles.m,))
-
-
-def _torque(arm, q, a):
-    still = jnp.zeros_like(arm.paths.optimal_length)
-    return arm.paths.torque(q, arm.muscles.tension(a, arm.muscle_length(q), still))

@@ -171,3 +171,14 @@ def test_two_rounds_of_tangent_count_as_two():
     found = _shape_prediction.predicted_exponent(waves[4], np.linspace(0, 4 * np.pi, 801), 0.0)
     low, high = jc.analysis.least_jerk_exponent([3.0, 0.5])
     assert low < found < high
+
+
+def test_a_valley_without_a_bend_does_not_coincide_with_one():
+    def judged(*found):
+        return _planned.at_the_bend("", "", [_planned.Valley(*one) for one in found])
+
+    near, none = (0.25, 0.1, 0.26, 5.0), (np.nan, 0.0, np.nan, np.nan)
+    assert judged(near, none).holds and "1 of 2 movements" in judged(near, none).measured
+    assert not judged(near, (0.25, 0.1, 0.30, 5.0)).holds
+    assert not judged(near, (0.25, 0.1, np.nan, np.nan)).holds
+    assert not judged(none).holds and judged(none).note

@@ -250,6 +250,13 @@ def test_isometric_torques_are_those_of_the_state_at_rest(curve):
         isometric_torque(arm, START, np.ones(5))
     with pytest.raises(ValueError, match="q: shape"):
         isometric_torque(arm, np.ones(3), 0.1)
+    for call in (isometric_torque, joint_stiffness, endpoint_stiffness):
+        with pytest.raises(ValueError, match="activation: at least 0"):
+            call(arm, START, -0.1)
+        with pytest.raises(ValueError, match="radians"):
+            call(arm, np.array([45.0, 90.0]), 0.1)
+        with pytest.raises(ValueError, match=r"q: .*finite"):
+            call(arm, np.array([np.nan, 1.0]), 0.1)
 
 
 @pytest.mark.parametrize("curve", ["linear", "brown"])

@@ -64,6 +64,13 @@ def test_the_inverse_of_the_active_state_is_exact_within_its_bounds(curve):
     assert jnp.isfinite(slope).all()
 
 
+@pytest.mark.parametrize("curve", ["linear", "brown", "brown-fixed"])
+def test_nan_stays_nan(curve):
+    for call in (active_state, activation_of_state):
+        assert np.isnan(call(np.nan, 1.0, curve))
+    assert np.isnan(tension(np.nan, 1.0, 0.0, curve))
+
+
 def test_another_word_for_the_active_state_is_refused():
     for call in (active_state, activation_of_state, lambda a, l, c: tension(a, l, 0.0, c)):
         with pytest.raises(ValueError, match=r"active_state.*brown-fixed.*got 'hill'"):

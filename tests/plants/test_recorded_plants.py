@@ -118,6 +118,6 @@ def test_rates_of_change_are_those_recorded(name):
 )
 def test_the_muscle_arms_optimum_is_the_one_recorded(solver, cost):
     """Where both stop, about 1e-11 apart."""
-    benchmark = jc.problems.load("muscle-arm")
+    benchmark = jc.problems.load("muscle-arm-brown")
     solution = jc.solve(benchmark.problem, solver, benchmark.x0, benchmark.us)
     np.testing.assert_allclose(solution.cost, cost, rtol=1e-12)

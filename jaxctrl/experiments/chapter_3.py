@@ -119,7 +119,7 @@ def figure(result: Result) -> Figure:
         ax.invert_yaxis()
         ax.set_ylabel("experiment")
         ax.set_xlabel("claims that hold, of those in the frame")
-        ax.legend(title="active state", loc="lower right")
+        fig.legend(title="active state", loc="outside upper right", ncols=data.sizes["curve"])
     return fig
 
 

@@ -4,9 +4,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from .._checks import known
 from .._jit import jit
 from ._muscle_arm import AbstractMusculoskeletalArm
 from ._parameters import radians
+
+SHORTEST, LONGEST = 0.4, 1.9
+"""The lengths [L0] between which the muscles' curves hold."""
 
 
 def isometric_torque(
@@ -22,7 +26,8 @@ def isometric_torque(
         activation: a, scalar or (m,).
 
     Raises ValueError, naming the argument, for a wrong shape, what is not finite, angles in
-    degrees, or a negative activation.
+    degrees, a negative activation, or a posture in which a muscle is shorter than 0.4 or longer
+    than 1.9 optimal lengths, for which the curves do not hold; where these can be known.
     """
     return _torque(arm, *_posture(arm, q, activation))
 
@@ -34,8 +39,9 @@ def joint_stiffness(
 
     K_q = -d tau/dq = -(dR/dq) T - R (dT/dl) (dl/dq)
 
-    It is symmetric, since the torques of given activations have a potential. Where a muscle is on
-    the falling branch of its force-length curve, it may have negative eigenvalues.
+    It is symmetric, since the torques of given activations have a potential. It may have negative
+    eigenvalues: where moment arms grow with the angle that a muscle turns its joint to, and on the
+    falling branch of the force-length curve.
 
     Arguments, and what is refused: as `isometric_torque`.
     """
@@ -49,7 +55,7 @@ def endpoint_stiffness(
 
     K = (G (K_q - d(G'F)/dq)^-1 G')^-1,  G = dp/dq,  G'F = -tau
 
-    A load -K dp moves the hand by dp from the posture q, in which the force F holds the muscles'
+    A load K dp moves the hand by dp from the posture q, in which the force F holds the muscles'
     torques. With as many joints as coordinates K = G^-T (K_q - d(G'F)/dq) G^-1 (Mussa-Ivaldi, Hogan
     & Bizzi 1985; the second term is geometric: McIntyre, Mussa-Ivaldi & Bizzi 1996). With more, F
     is that of least squares, and what torque is left is held at the joints. NaN or infinite where
@@ -63,6 +69,12 @@ def endpoint_stiffness(
 def _posture(arm, q, activation):
     """Check what is known of the arguments, which within a compiled function nothing would be."""
     q = radians("q", q, arm.muscles.pcsa, (arm.skeleton.n,))
+    lengths = known(arm.muscle_length(q))
+    if lengths is not None and ((lengths < SHORTEST) | (lengths > LONGEST)).any():
+        raise ValueError(
+            f"q: {q} gives the muscles lengths {lengths.round(3)} L0; their curves hold from "
+            f"{SHORTEST:g} to {LONGEST:g}"
+        )
     return q, arm.as_activation(activation)
 
 

@@ -257,6 +257,8 @@ def test_isometric_torques_are_those_of_the_state_at_rest(curve):
             call(arm, np.array([45.0, 90.0]), 0.1)
         with pytest.raises(ValueError, match=r"q: .*finite"):
             call(arm, np.array([np.nan, 1.0]), 0.1)
+        with pytest.raises(ValueError, match=r"q: .*0\.4 to 1\.9"):
+            call(MuscleArm(optimal_length=OPTIMAL_LENGTH), np.array([np.pi, np.pi]), 0.3)
 
 
 @pytest.mark.parametrize("curve", ["linear", "brown"])

@@ -57,8 +57,11 @@ def test_records_are_complete_and_say_what_was_reached(name):
         assert benchmark.iterations[solver, dtype] == run.iterations
         assert run.fewest <= run.iterations <= run.most
         assert benchmark.excess(run.cost) >= -TOLERANCE[dtype], "the optimum is none"
-        # The six muscles end in a local optimum from this start; all others reach the best.
-        assert benchmark.reached(solver, dtype) == ("muscle" not in name or dtype == "float32")
+        # The six muscles end in a local optimum from this start, and the car in one, 4 % above the
+        # best, when float32's rounding leads it there; all others reach the best.
+        elsewhere = "muscle" in name and dtype == "float64"
+        elsewhere |= (name, solver, dtype) == ("car-parking", "ILQR", "float32")
+        assert benchmark.reached(solver, dtype) == (not elsewhere)
 
 
 @pytest.mark.parametrize("name", names())

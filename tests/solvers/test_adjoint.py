@@ -59,7 +59,8 @@ def _check(name, where=None):
     for row in report.rows:
         # What is not above the differences' own uncertainty says nothing.
         assert row.error <= max(1e-5, 10 * row.uncertainty), row
-        assert row.transposed <= 1e-10, row
+        # Where terms a thousand times larger cancel, as in a chain's last state, digits are lost.
+        assert row.transposed <= 1e-9, row
     reliable = [row for row in report.rows if row.uncertainty <= 1e-6]
     assert len(reliable) >= 0.9 * len(report.rows)
 

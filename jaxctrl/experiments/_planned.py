@@ -38,6 +38,11 @@ the movements below the second; our choice."""
 MODELS = {"torque change": jc.models.MinimumTorqueChange, "energy": jc.models.MinimumEnergy}
 
 
+def check_active_state(word: str) -> None:
+    """Raise ValueError for a word that is none of the muscles' active states."""
+    jc.plants.MuscleArm(active_state=word)  # pyright: ignore[reportArgumentType]
+
+
 @dataclass(frozen=True)
 class MovementConfig:
     """Settings of a planned movement: duration [s] and number of time steps.
@@ -53,6 +58,9 @@ class MovementConfig:
     max_steps: int = 600
     seed: int = 0
     active_state: str = "linear"
+
+    def __post_init__(self):
+        check_active_state(self.active_state)
 
     @property
     def arm(self) -> jc.plants.MuscleArm:

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 import jaxctrl as jc
 
+from ._planned import check_active_state
 from ._result import Claim, Result, named
 
 START = (np.pi / 4, np.pi / 2)
@@ -43,6 +44,9 @@ class Config:
     trials: int = 50
     seed: int = 0
     active_state: str = "linear"
+
+    def __post_init__(self):
+        check_active_state(self.active_state)
 
     @classmethod
     def quick(cls) -> "Config":

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 import jaxctrl as jc
 
+from ._planned import check_active_state
 from ._result import Claim, Result, named
 
 MODULES = {
@@ -50,7 +51,7 @@ class Config:
         if not _split(self.active_states):
             raise ValueError("active_states: at least one is wanted")
         for state in _split(self.active_states):
-            jc.plants.MuscleArm(active_state=state)  # pyright: ignore[reportArgumentType]
+            check_active_state(state)
 
 
 def _split(words: str) -> list[str]:

@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 
 import jaxctrl as jc
 
-from ._planned import slightly_curved
+from ._planned import check_active_state, slightly_curved
 from ._result import Claim, Result, named
 
 MODELS = ("torque change", "energy")
@@ -62,6 +62,9 @@ class Config:
     num_steps: int = 50
     effort: float = 1e-4
     active_state: str = "linear"
+
+    def __post_init__(self):
+        check_active_state(self.active_state)
 
     @classmethod
     def quick(cls) -> "Config":

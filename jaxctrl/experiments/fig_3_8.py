@@ -16,6 +16,7 @@ from ._planned import (
     Movement,
     MovementConfig,
     Valley,
+    check_active_state,
     dataset,
     depths,
     draw,
@@ -49,6 +50,7 @@ class Config(MovementConfig):
         return cls(duration=0.6, num_steps=25, restarts=0, further=1)
 
     def __post_init__(self):
+        check_active_state(self.active_state)
         if not 0 <= self.further <= len(FURTHER):
             raise ValueError(f"further: 0 to {len(FURTHER)} are wanted, got {self.further}")
 

@@ -20,6 +20,7 @@ import jaxctrl as jc
 
 from . import _closed_paths as shapes
 from ._free_timing import ClosedPath, OnPath, PathCost, StepOnPath
+from ._planned import check_active_state
 from ._result import Result, named
 from ._two_thirds_claims import claims as claims
 from ._two_thirds_figure import MODELS, figure as figure, law_of
@@ -61,6 +62,9 @@ class Config:
     trim: float = 1 / 6
     null_seeds: int = 100
     active_state: str = "linear"
+
+    def __post_init__(self):
+        check_active_state(self.active_state)
 
     @classmethod
     def quick(cls) -> "Config":

@@ -121,12 +121,12 @@ class AbstractMusculoskeletalArm(AbstractSkeletalArm):
     def as_activation(self, activation: ArrayLike) -> Float[Array, " m"]:
         """Return activations of shape (m,), from a scalar or (m,).
 
-        Raises ValueError for what is not finite, of another shape, or negative.
+        Raises ValueError for what is not finite, of another shape, or outside 0 to 1.
         """
         a = state_part("activation", activation, self.muscles.pcsa, (self.muscles.m,))
         numbers = known(activation)
-        if numbers is not None and (numbers < 0).any():
-            raise ValueError(f"activation: at least 0 is wanted, got {activation}")
+        if numbers is not None and ((numbers < 0) | (numbers > 1)).any():
+            raise ValueError(f"activation: 0 to 1 is wanted, got {activation}")
         return a
 
 

@@ -9,6 +9,9 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ._parameters import known, parameter, positive
 
+LONGEST_FIBRE = 1.0
+"""No muscle's fibres are longer [m]: a number in centimetres is noticed."""
+
 
 class AbstractPaths(eqx.Module):
     """The paths of m muscles over n joints.
@@ -92,6 +95,9 @@ class CosinePaths(AbstractPaths):
         self.given_length = None
         if optimal_length is not None:
             self.given_length = positive("optimal_length", optimal_length, (self.m,))
+            metres = known(optimal_length)
+            if metres is not None and (metres > LONGEST_FIBRE).any():
+                raise ValueError(f"optimal_length: {optimal_length}; are these metres?")
         low, high = known(shortest), known(longest)
         if low is not None and high is not None and not (high > low).all():
             raise ValueError(f"longest: above shortest is wanted, got {longest} and {shortest}")

@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import known
+from .._checks import check_instance, known, shape_of
 from .._jit import jit
 from ._muscle_arm import AbstractMusculoskeletalArm
 from ._parameters import radians
 
-SHORTEST, LONGEST = 0.4, 1.9
-"""The lengths [L0] between which the muscles' curves hold."""
+SHORTEST, LONGEST = 0.56, 1.9
+"""The lengths [L0] between which the muscles' curves hold, and the muscles pull."""
 
 
 def isometric_torque(
@@ -26,8 +26,9 @@ def isometric_torque(
         activation: a, scalar or (m,).
 
     Raises ValueError, naming the argument, for a wrong shape, what is not finite, angles in
-    degrees, a negative activation, or a posture in which a muscle is shorter than 0.4 or longer
-    than 1.9 optimal lengths, for which the curves do not hold; where these can be known.
+    degrees, an activation outside 0 to 1, or a posture in which a muscle is shorter than 0.56
+    optimal lengths, where it would push (`passive_force`), or longer than 1.9, where the curves do
+    not hold; where these can be known. TypeError for an arm without muscles.
     """
     return _torque(arm, *_posture(arm, q, activation))
 
@@ -68,12 +69,17 @@ def endpoint_stiffness(
 
 def _posture(arm, q, activation):
     """Check what is known of the arguments, which within a compiled function nothing would be."""
+    check_instance(
+        "arm", arm, AbstractMusculoskeletalArm, "an arm moved by muscles, MuscleArm() or its like"
+    )
+    if shape_of(q) != (arm.skeleton.n,):
+        raise ValueError(f"q: shape {shape_of(q)}, wanted ({arm.skeleton.n},)")
     q = radians("q", q, arm.muscles.pcsa, (arm.skeleton.n,))
     lengths = known(arm.muscle_length(q))
     if lengths is not None and ((lengths < SHORTEST) | (lengths > LONGEST)).any():
         raise ValueError(
-            f"q: {q} gives the muscles lengths {lengths.round(3)} L0; their curves hold from "
-            f"{SHORTEST:g} to {LONGEST:g}"
+            f"q: {q} gives the muscles lengths {lengths.round(3)} L0; their curves hold, and "
+            f"muscles pull, from {SHORTEST:g} to {LONGEST:g}"
         )
     return q, arm.as_activation(activation)
 

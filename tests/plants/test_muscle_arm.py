@@ -9,6 +9,7 @@ from jaxctrl.plants import (
     MUSCLES,
     OPTIMAL_LENGTH,
     MuscleArm,
+    TorqueArm,
     activation_rate,
     endpoint_stiffness,
     force_length,
@@ -251,13 +252,19 @@ def test_isometric_torques_are_those_of_the_state_at_rest(curve):
     with pytest.raises(ValueError, match="q: shape"):
         isometric_torque(arm, np.ones(3), 0.1)
     for call in (isometric_torque, joint_stiffness, endpoint_stiffness):
-        with pytest.raises(ValueError, match="activation: at least 0"):
+        with pytest.raises(ValueError, match="activation: 0 to 1"):
             call(arm, START, -0.1)
+        with pytest.raises(ValueError, match=r"q: shape \(\), wanted \(2,\)"):
+            call(arm, 0.7, 0.1)
+        with pytest.raises(TypeError, match="arm: an arm moved by muscles"):
+            call(TorqueArm(), START, 0.1)
+        with pytest.raises(ValueError, match="activation: 0 to 1"):
+            call(arm, START, 30)
         with pytest.raises(ValueError, match="radians"):
             call(arm, np.array([45.0, 90.0]), 0.1)
         with pytest.raises(ValueError, match=r"q: .*finite"):
             call(arm, np.array([np.nan, 1.0]), 0.1)
-        with pytest.raises(ValueError, match=r"q: .*0\.4 to 1\.9"):
+        with pytest.raises(ValueError, match=r"q: .*0\.56 to 1\.9"):
             call(MuscleArm(optimal_length=OPTIMAL_LENGTH), np.array([np.pi, np.pi]), 0.3)
 
 

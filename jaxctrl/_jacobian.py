@@ -228,8 +228,13 @@ def _pattern(closed: Any, m: int, others: int) -> np.ndarray:
     return np.zeros(shape, bool) if out is None else np.broadcast_to(out, shape)
 
 
-def _follow(jaxpr: Any, inputs: Sequence[np.ndarray | None], m: int) -> list[np.ndarray | None]:
-    """Propagate dependences, of shape (*variable, m) or None for none, through a jaxpr."""
+def _follow(
+    jaxpr: Any, inputs: Sequence[np.ndarray | None], m: int, stops: bool = True
+) -> list[np.ndarray | None]:
+    """Propagate dependences, of shape (*variable, m) or None for none, through a jaxpr.
+
+    Without `stops`, a `stop_gradient` stops nothing, as within what has a derivative of its own.
+    """
     known: dict[Any, np.ndarray | None] = dict(zip(jaxpr.invars, inputs, strict=True))
 
     def read(var):
@@ -239,16 +244,20 @@ def _follow(jaxpr: Any, inputs: Sequence[np.ndarray | None], m: int) -> list[np.
         given = [read(var) for var in equation.invars]
         if all(g is None for g in given):
             continue
-        outs = _through(equation, given, m)
+        outs = _through(equation, given, m, stops)
         known.update(zip(equation.outvars, outs, strict=True))
     return [read(var) for var in jaxpr.outvars]
 
 
-def _through(equation: Any, given: list[np.ndarray | None], m: int) -> list[np.ndarray | None]:
+def _through(
+    equation: Any, given: list[np.ndarray | None], m: int, stops: bool
+) -> list[np.ndarray | None]:
     """Propagate dependences through one operation."""
     name, params = equation.primitive.name, equation.params
     shapes = [var.aval.shape for var in equation.outvars]
     inner = [v for v in params.values() if isinstance(v, jex.core.ClosedJaxpr | jex.core.Jaxpr)]
+    if name == "stop_gradient" and not stops:
+        return given
     if name in _CONSTANT:
         return [None] * len(shapes)
     if name in _ELEMENTWISE:
@@ -263,7 +272,11 @@ def _through(equation: Any, given: list[np.ndarray | None], m: int) -> list[np.n
     if len(inner) == 1 and name not in ("scan", "while", "cond"):
         jaxpr = getattr(inner[0], "jaxpr", inner[0])
         if len(jaxpr.invars) == len(given):
-            return _follow(jaxpr, given, m)
+            # The derivative that a function states itself is not that of what it computes.
+            own = name.startswith("custom_")
+            outs = _follow(jaxpr, given, m, stops and not own)
+            if not own or all(out is not None for out in outs):
+                return outs
     anything = np.any([g.reshape(-1, m).any(axis=0) for g in given if g is not None], axis=0)
     return [np.broadcast_to(anything, (*shape, m)) for shape in shapes]
 

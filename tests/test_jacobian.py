@@ -88,3 +88,33 @@ def test_jacobian_is_right_whatever_the_operations(name, function):
     np.testing.assert_allclose(jacobian(function)(x), wanted, rtol=1e-12, atol=1e-14)
     pattern = dependence(function, x)
     assert not (np.asarray(wanted) != 0)[~pattern].any()
+
+
+def test_a_rule_of_its_own_is_followed_through_what_the_function_stops():
+    """A root by a fixed number of Newton steps, whose derivative is implicit."""
+
+    @jax.custom_jvp
+    def root(a):
+        a = jax.lax.stop_gradient(a)
+        y = jnp.ones_like(a)
+        for _ in range(40):
+            y = y - (y**3 + y - a) / (3 * y**2 + 1)
+        return y
+
+    @root.defjvp
+    def _(primals, tangents):
+        y = root(primals[0])
+        return y, tangents[0] / (3 * y**2 + 1)
+
+    @jax.custom_jvp
+    def straight(a):
+        return jnp.zeros_like(a)
+
+    straight.defjvp(lambda primals, tangents: (straight(primals[0]), tangents[0]))
+    x = jnp.array([0.3, 2.0])
+    for function in (
+        lambda x: jnp.stack([x[1], -root(x[0])]),
+        lambda x: jnp.stack([straight(x[0]), x[1]]),
+    ):
+        np.testing.assert_allclose(jacobian(function)(x), jax.jacfwd(function)(x), rtol=1e-12)
+        assert jacobian(function)(x).any(axis=1).all()

@@ -43,6 +43,13 @@ def check_active_state(word: str) -> None:
     jc.plants.MuscleArm(active_state=word)  # pyright: ignore[reportArgumentType]
 
 
+def check_positive(**numbers: float) -> None:
+    """Raise ValueError naming a setting that is not a finite number above zero."""
+    for name, number in numbers.items():
+        if not 0 < number < float("inf"):
+            raise ValueError(f"{name}: a finite number above 0 is wanted, got {number}")
+
+
 @dataclass(frozen=True)
 class MovementConfig:
     """Settings of a planned movement: duration [s] and number of time steps.

@@ -58,7 +58,8 @@ class Claim:
     note: str = ""
 
     def __post_init__(self):
-        object.__setattr__(self, "holds", bool(self.holds))
+        # NaN, which is true to Python, holds nothing.
+        object.__setattr__(self, "holds", bool(self.holds) and self.holds == self.holds)
 
 
 def named(long_name: str, units: str) -> dict[str, str]:

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 import jaxctrl as jc
 
-from ._planned import check_active_state
+from ._planned import check_active_state, check_positive
 from ._result import Claim, Result, named
 
 START = (np.pi / 4, np.pi / 2)
@@ -47,6 +47,9 @@ class Config:
 
     def __post_init__(self):
         check_active_state(self.active_state)
+        check_positive(
+            radius=self.radius, motor_noise=self.motor_noise, strong_noise=self.strong_noise
+        )
 
     @classmethod
     def quick(cls) -> "Config":

@@ -50,6 +50,10 @@ class Config:
             )
         if not _split(self.active_states):
             raise ValueError("active_states: at least one is wanted")
+        for name in ("experiments", "active_states"):
+            words = _split(getattr(self, name))
+            if len(set(words)) < len(words):
+                raise ValueError(f"{name}: each once is wanted, got {getattr(self, name)!r}")
         for state in _split(self.active_states):
             check_active_state(state)
 

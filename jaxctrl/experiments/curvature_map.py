@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 
 import jaxctrl as jc
 
-from ._planned import check_active_state, slightly_curved
+from ._planned import check_active_state, check_positive, slightly_curved
 from ._result import Claim, Result, named
 
 MODELS = ("torque change", "energy")
@@ -65,6 +65,7 @@ class Config:
 
     def __post_init__(self):
         check_active_state(self.active_state)
+        check_positive(distance=self.distance)
 
     @classmethod
     def quick(cls) -> "Config":

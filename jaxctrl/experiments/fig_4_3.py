@@ -163,7 +163,7 @@ def _below(lanes: xarray.Dataset, rival: str, where: str, best: float) -> Claim:
     for lane in range(count):
         mine, other = (lanes.sel(solver=m).isel(start=lane) for m in ("ILQR", rival))
         there = _when(mine, best)
-        below += bool(_at(mine, there) <= _at(other, there))
+        below += bool(np.isfinite(there) and _at(mine, there) <= _at(other, there))
         ratios.append(_when(other, best) / there)
     known = [ratio for ratio in ratios if np.isfinite(ratio)]
     times = f", and {rival} {np.median(known):.2g} times as late (median)" if known else ""

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from .._checks import shape_of
 from .._integrate import AbstractIntegrator
 from .._plant import AbstractHand
 from .._types import Bounds
@@ -61,6 +62,8 @@ class FreeHand(AbstractHand):
         Raises ValueError when either is not finite, or not of shape (2,).
         """
         like = self.nominal_control
+        if shape_of(position) != (2,):
+            raise ValueError(f"position: shape {shape_of(position)}, wanted (2,)")
         e, v = (
             state_part("position", position, like, (2,)),
             state_part("velocity", velocity, like, (2,)),

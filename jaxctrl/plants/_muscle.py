@@ -144,6 +144,7 @@ def activation_of_state(
 
     Arguments:
         A, l: active state, at least 0 and below 1, and length [L0], of any shapes that broadcast.
+            NaN for lengths at which N_f is not positive, from 2.03 on.
         curve: as in `active_state`.
 
     Raises ValueError for another word as `curve`.
@@ -155,7 +156,8 @@ def activation_of_state(
     # The slope at A = 0 is infinite; there the activation is SMALLEST_ACTIVATION and flat.
     least = active_state(jnp.full_like(l, SMALLEST_ACTIVATION), l, curve)
     rate = -jnp.log1p(-jnp.where(least >= A, least, A))
-    return jnp.where(least >= A, SMALLEST_ACTIVATION, 0.56 * exponent * _power(rate, 1 / exponent))
+    a = jnp.where(least >= A, SMALLEST_ACTIVATION, 0.56 * exponent * _power(rate, 1 / exponent))
+    return jnp.where(exponent > 0, a, jnp.nan)
 
 
 def _floats(*numbers):

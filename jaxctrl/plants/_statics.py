@@ -59,8 +59,8 @@ def endpoint_stiffness(
     A load K dp moves the hand by dp from the posture q, in which the force F holds the muscles'
     torques. With as many joints as coordinates K = G^-T (K_q - d(G'F)/dq) G^-1 (Mussa-Ivaldi, Hogan
     & Bizzi 1985; the second term is geometric: McIntyre, Mussa-Ivaldi & Bizzi 1996). With more, F
-    is that of least squares, and what torque is left is held at the joints. NaN or infinite where
-    the arm is straight.
+    is that of least squares, and what torque is left is held at the joints. A straight arm lets
+    the hand move to one side only; along itself what comes out is round-off over round-off.
 
     Arguments, and what is refused: as `isometric_torque`.
     """

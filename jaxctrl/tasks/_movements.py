@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import check_array, check_integer, check_radians, check_weights, is_concrete
+from .._checks import check_array, check_integer, check_radians, check_weights, is_concrete, known
 from .._cost import QuadraticCost
 from .._integrate import AbstractIntegrator
 from .._noise import SignalDependentNoise
@@ -375,6 +375,9 @@ def centre_out(
     x0 = check_array("x0", x0, (check_hand(plant).nx,))
     if plant.dim != 2:
         raise ValueError(f"plant: a hand in the plane is wanted, got one in {plant.dim} dimensions")
+    metres = known(radius)
+    if metres is not None and not (metres > 0).all():
+        raise ValueError(f"radius: above 0 is wanted, got {radius}")
     num_steps, dt = grid(duration, reach_arguments.pop("num_steps", None))
     angles = 2 * jnp.pi * jnp.arange(n) / n
     offsets = radius * jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=1)

@@ -14,9 +14,13 @@ from jaxctrl.experiments import (
     _closed_paths as shapes,
     _planned,
     _shape_prediction,
+    centre_out,
+    chapter_3,
     curvature_map,
+    fig_3_4,
 )
 from jaxctrl.experiments._free_timing import ClosedPath, OnPath, PathCost, StepOnPath
+from jaxctrl.experiments._result import Claim
 from jaxctrl.plants import FreeHand, MuscleArm, PolynomialJerk, TorqueArm
 from jaxctrl.tasks import Effort
 
@@ -182,3 +186,22 @@ def test_a_valley_without_a_bend_does_not_coincide_with_one():
     assert not judged(near, (0.25, 0.1, 0.30, 5.0)).holds
     assert not judged(near, (0.25, 0.1, np.nan, np.nan)).holds
     assert not judged(none).holds and judged(none).note
+
+
+@pytest.mark.parametrize(
+    ("module", "setting", "message"),
+    [
+        (centre_out, {"motor_noise": float("nan")}, "motor_noise: a finite number above 0"),
+        (centre_out, {"radius": -0.1}, "radius: a finite number above 0"),
+        (curvature_map, {"distance": -0.1}, "distance: a finite number above 0"),
+        (chapter_3, {"active_states": "linear; linear"}, "active_states: each once"),
+        (fig_3_4, {"active_state": "bron"}, "active_state: one of"),
+    ],
+)
+def test_settings_without_meaning_are_refused(module, setting, message):
+    with pytest.raises(ValueError, match=message):
+        module.Config(**setting)
+
+
+def test_a_claim_that_is_nan_does_not_hold():
+    assert not Claim("", "", "", "", float("nan")).holds

@@ -210,3 +210,9 @@ def test_the_tension_is_continuously_differentiable_in_velocity_only_up_to_the_k
     left, right = (jax.grad(force_velocity, 1)(1.0, v) for v in (-1e-9, 1e-9))
     np.testing.assert_allclose(left, 4.47 / 5.72, rtol=1e-6)
     assert abs(right - left) > 0.1
+
+
+def test_beyond_its_lengths_the_inverse_is_nan_as_the_curve_is():
+    for length in (2.03, 2.5):
+        assert np.isnan(activation_of_state(0.3, length, "brown"))
+    assert np.isfinite(activation_of_state(0.3, 1.9, "brown"))

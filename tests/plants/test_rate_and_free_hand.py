@@ -62,6 +62,7 @@ def test_it_has_the_hand_and_the_inertia_of_its_arm():
             "make it without control_bounds",
         ),
         (lambda: RateControlled(TorqueArm), TypeError, "^arm: a plant with joints is wanted"),
+        (lambda: FreeHand().at_rest(0.3), ValueError, r"position: shape \(\), wanted \(2,\)"),
         (lambda: RateControlled(FreeHand()), TypeError, "wanted, got FreeHand"),
         (
             lambda: RateControlled(TorqueArm()).lift(jnp.zeros(6)),

@@ -228,6 +228,11 @@ def test_changing_a_task_does_not_compile_again(arm, x0):
         ),
         (lambda arm: jc.tasks.centre_out(arm, jnp.zeros(3)), ValueError, r"x0: got shape \(3,\)"),
         (lambda arm: jc.tasks.centre_out(arm, jnp.zeros(4), n=0), ValueError, "n: at least 1"),
+        (
+            lambda arm: jc.tasks.centre_out(arm, arm.at_rest(0.7, 1.5), radius=-0.1),
+            ValueError,
+            "radius: above 0",
+        ),
     ],
 )
 def test_misuse_is_named(arm, build, error, match):

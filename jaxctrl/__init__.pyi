@@ -31,6 +31,7 @@ from ._controller import (
 )
 from ._cost import FunctionCost as FunctionCost, QuadraticCost as QuadraticCost
 from ._cpu import enable_fast_cpu as enable_fast_cpu
+from ._evaluate import Evaluation as Evaluation, evaluate as evaluate
 from ._expand import expand as expand
 from ._files import load as load, save as save
 from ._function_plant import FunctionPlant as FunctionPlant
@@ -43,13 +44,17 @@ from ._integrate import (
 from ._noise import (
     AbstractNoise as AbstractNoise,
     AdditiveNoise as AdditiveNoise,
+    FunctionNoise as FunctionNoise,
     SignalDependentNoise as SignalDependentNoise,
+    StateDependentNoise as StateDependentNoise,
+    SumNoise as SumNoise,
 )
 from ._plant import (
     AbstractArm as AbstractArm,
     AbstractHand as AbstractHand,
     AbstractPlant as AbstractPlant,
 )
+from ._prediction import Prediction as Prediction
 from ._problem import Problem as Problem
 from ._pulses import Pulses as Pulses
 from ._simulate import Trajectory as Trajectory, simulate as simulate
@@ -77,6 +82,7 @@ from .models._compare import compare as compare
 from .models._times import optimise_times as optimise_times
 from .solvers import (
     DDP as DDP,
+    ILQG as ILQG,
     ILQR as ILQR,
     LBFGS as LBFGS,
     AbstractDirectSolver as AbstractDirectSolver,

@@ -71,9 +71,9 @@ def _attach_jvp(primals, tangents):
     _, t_problem, t_x0, _, _ = tangents
     found = attach(found, problem, x0, side, ok)
     # What overflows in a failed lane must not reach the others, multiplied by zero.
-    xs, us, problem = _tame((found[0], found[1], problem), ok)
+    xs, us, problem = tame((found[0], found[1], problem), ok)
     arrays, static = eqx.partition(problem, eqx.is_inexact_array)
-    t_arrays, t_x0 = _instantiate(arrays, t_problem), _instantiate(x0, t_x0)
+    t_arrays, t_x0 = instantiate(arrays, t_problem), instantiate(x0, t_x0)
     every, _ = jax.flatten_util.ravel_pytree((t_arrays, t_x0))
 
     model = expand(problem, xs, us, second_order=True)
@@ -96,11 +96,11 @@ def _attach_jvp(primals, tangents):
     t_cost = value + start @ t_x0 + jnp.sum(jnp.where(free, 0.0, gradient * held))
     # Not a strict minimum, the trajectory has no derivative; the cost still has one.
     fine = ok & system.ok.all()
-    alarm = jnp.sum(_nan_unless(fine, every))
+    alarm = jnp.sum(nan_unless(fine, every))
     return found, (
-        t_xs + _nan_unless(fine, t_xs) + alarm,
-        t_us + _nan_unless(fine, t_us) + alarm,
-        t_cost + _nan_unless(ok, t_cost) + jnp.sum(_nan_unless(ok, every)),
+        t_xs + nan_unless(fine, t_xs) + alarm,
+        t_us + nan_unless(fine, t_us) + alarm,
+        t_cost + nan_unless(ok, t_cost) + jnp.sum(nan_unless(ok, every)),
     )
 
 
@@ -127,10 +127,10 @@ def _gains_jvp(primals, tangents):
     K, problem, xs, us, side, ok, solver = primals
     _, t_problem, t_xs, t_us, _, _, _ = tangents
     K = attach_gains(K, problem, xs, us, side, ok, solver)
-    xs, us, problem = _tame((xs, us, problem), ok)
+    xs, us, problem = tame((xs, us, problem), ok)
     arrays, static = eqx.partition(problem, eqx.is_inexact_array)
     given = (arrays, xs, us)
-    along = (_instantiate(arrays, t_problem), _instantiate(xs, t_xs), _instantiate(us, t_us))
+    along = (instantiate(arrays, t_problem), instantiate(xs, t_xs), instantiate(us, t_us))
 
     def gains(given):
         arrays, xs, us = given
@@ -140,10 +140,10 @@ def _gains_jvp(primals, tangents):
     room = jnp.finfo(K.dtype).eps ** (1 / 3) * jnp.max(jnp.abs(K), initial=0.0)
     fine = ok & (jnp.abs(again - K) <= room).all()
     every, _ = jax.flatten_util.ravel_pytree(along)
-    return K, t_K + _nan_unless(fine, t_K) + jnp.sum(_nan_unless(fine, every))
+    return K, t_K + nan_unless(fine, t_K) + jnp.sum(nan_unless(fine, every))
 
 
-def _nan_unless(ok: Array, tangent: Array) -> Array:
+def nan_unless(ok: Array, tangent: Array) -> Array:
     """Return zeros where `ok`; else NaN, but zero for a zero tangent. Linear, and transposed so.
 
     Nothing finite stays finite after three factors `huge`, and inf times zero is NaN; zero stays
@@ -155,25 +155,25 @@ def _nan_unless(ok: Array, tangent: Array) -> Array:
     return tangent
 
 
-def _tame(tree, ok: Array):
+def tame(tree, ok: Array):
     """Unless `ok`, replace by 1 what is not finite, or so large that its powers would overflow."""
 
-    def tame(leaf):
+    def tamed(leaf):
         if not eqx.is_inexact_array(leaf):
             return leaf
         small = jnp.abs(leaf) <= jnp.finfo(leaf.dtype).max ** 0.03
         return jnp.where(ok | small, leaf, jnp.ones((), leaf.dtype))
 
-    return jax.tree.map(tame, tree)
+    return jax.tree.map(tamed, tree)
 
 
-def _instantiate(tree, tangents):
+def instantiate(tree, tangents):
     """Return tangents of the shape of `tree`'s arrays, zero where None."""
 
-    def instantiate(leaf, tangent):
+    def instantiated(leaf, tangent):
         if leaf is None:
             return None
         return jnp.zeros_like(leaf) if tangent is None else tangent
 
     arrays = eqx.filter(tree, eqx.is_inexact_array)
-    return jax.tree.map(instantiate, arrays, tangents, is_leaf=lambda leaf: leaf is None)
+    return jax.tree.map(instantiated, arrays, tangents, is_leaf=lambda leaf: leaf is None)

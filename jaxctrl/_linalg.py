@@ -79,3 +79,20 @@ def _solve_positive_jvp(primals, tangents):
     both, ok = solve_positive(A, jnp.concatenate([B, jnp.eye(A.shape[0], dtype=A.dtype)], axis=1))
     X, inverse = both[:, :m], both[:, m:]
     return (X, ok), (matmul(inverse, dB - matmul(dA, X)), np.zeros((), jax.dtypes.float0))
+
+
+def root(S: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Return L with L L' = S for a symmetric positive semidefinite S: Cholesky's, L lower.
+
+    Where what is left of a diagonal entry is round-off the column is zero.
+    """
+    index, size = jnp.arange(S.shape[0]), jnp.max(jnp.diagonal(S), initial=0.0)
+
+    def column(S, j):
+        pivot = S[j, j]
+        positive = pivot > S.shape[0] * jnp.finfo(S.dtype).eps * size
+        scale = jnp.where(positive, 1 / jnp.sqrt(jnp.where(positive, pivot, 1.0)), 0.0)
+        l = jnp.where(index >= j, S[:, j] * scale, 0.0)
+        return S - l[:, None] * l, l
+
+    return jax.lax.scan(column, S, index)[1].T

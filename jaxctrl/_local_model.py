@@ -2,11 +2,13 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ._jacobian import gradient, jacobian, value_and_gradient
+from ._jacobian import dependence, gradient, jacobian, value_and_gradient
+from ._noise import diffusion
 from ._problem import Problem
-from ._types import LocalModel
+from ._types import LocalModel, Noise
 from .linear._riccati import costates
 
 
@@ -16,6 +18,7 @@ def expand(
     us: Float[Array, "T nu"],
     *,
     second_order: bool | Bool[Array, ""] = False,
+    noise: bool = False,
 ) -> LocalModel:
     """Expand dynamics to first order and cost to second order along xs (T+1, nx), us (T, nu).
 
@@ -26,6 +29,7 @@ def expand(
             of `AbstractResidual`s: l_zz += p' f_zz + rho' rho_zz, z = (x, u). The
             model is then that of Newton's method in the controls; without, of Gauss and Newton's.
             May be traced.
+        noise: expand the problem's noise, too, to first order: sqrt(dt) F and its slopes.
 
     Returns: `LocalModel`; the cost blocks include the time step, and events are folded in: an event
     between x_k and x_{k+1} = f(x_k, u_k) is a function of (x_k, u_k).
@@ -58,7 +62,8 @@ def expand(
         lz = lz.at[k].add(z_gradient)
         lzz = lzz.at[k].add(z_hessian)
         weights.append((k, weight))
-    model = _blocks(fz, lz, lzz, vx, vxx)
+    disturbance = _noise_terms(problem, zs, ts) if noise else None
+    model = _blocks(fz, lz, lzz, vx, vxx, disturbance)
     if second_order is False:
         return model
 
@@ -71,7 +76,28 @@ def expand(
         return lzz + _curvature(problem, zs, ts, p, rho)
 
     lzz = exact() if second_order is True else jax.lax.cond(second_order, exact, lambda: lzz)
-    return _blocks(fz, lz, lzz, vx, vxx)
+    return _blocks(fz, lz, lzz, vx, vxx, disturbance)
+
+
+def _noise_terms(problem: Problem, zs, ts) -> Noise | None:
+    """Return the columns of sqrt(dt) F (T, nw, nx) with their slopes in x and u, None if none."""
+    noise, plant, nx = problem.noise, problem.plant, problem.plant.nx
+    if noise is None:
+        return None
+
+    def columns(z, t):
+        F = jnp.sqrt(problem.rate) * diffusion(noise, plant, z[:nx], z[nx:], t)
+        return F.T.reshape(-1)
+
+    c = jax.vmap(columns)(zs, ts)
+    slopes = jax.vmap(jacobian(columns))(zs, ts)
+    counts = np.any(dependence(columns, zs[0], ts[0]), axis=0)
+    c, slopes = c.reshape(len(zs), -1, nx), slopes.reshape(len(zs), -1, nx, zs.shape[1])
+    return Noise(
+        c,
+        slopes[..., :nx] if counts[:nx].any() else None,
+        slopes[..., nx:] if counts[nx:].any() else None,
+    )
 
 
 def _curvature(problem: Problem, zs, ts, p, rho):
@@ -122,7 +148,7 @@ def _event_terms(problem: Problem, group, xs, fz):
     return k, z_gradient, z_hessian, fraction[:, None] * slope
 
 
-def _blocks(fz, lz, lzz, vx, vxx) -> LocalModel:
+def _blocks(fz, lz, lzz, vx, vxx, noise) -> LocalModel:
     nx = vx.size
     return LocalModel(
         fx=fz[:, :, :nx],
@@ -134,6 +160,7 @@ def _blocks(fz, lz, lzz, vx, vxx) -> LocalModel:
         luu=lzz[:, nx:, nx:],
         vx=vx,
         vxx=vxx,
+        noise=noise,
     )
 
 

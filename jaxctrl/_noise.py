@@ -1,12 +1,16 @@
 """Process noise: the diffusion F of dx = f dt + F dw, with w a standard Wiener process."""
 
 import abc
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from ._checks import known
+from ._function import as_params, check_function
 from ._plant import AbstractPlant
 from ._types import leaf
 
@@ -23,6 +27,44 @@ class AbstractNoise(eqx.Module):
         self, plant: AbstractPlant, x: Float[Array, " nx"], u: Float[Array, " nu"], t: ArrayLike
     ) -> Float[Array, "nx nw"]:
         """Return F(x, u, t), shape (nx, nw): state units per s^(1/2)."""
+
+    def __add__(self, other: "AbstractNoise") -> "AbstractNoise":
+        """Return both noises together, independent of one another."""
+        if not isinstance(other, AbstractNoise):
+            return NotImplemented
+        return SumNoise((*_parts(self), *_parts(other)))
+
+
+class SumNoise(AbstractNoise):
+    """Several independent noises, given as a tuple: their columns side by side."""
+
+    parts: tuple[AbstractNoise, ...]
+
+    def __call__(self, plant, x, u, t):
+        """Return the columns of all parts, in order, shape (nx, nw)."""
+        return jnp.concatenate([diffusion(part, plant, x, u, t) for part in self.parts], axis=1)
+
+
+def _parts(noise: AbstractNoise) -> tuple[AbstractNoise, ...]:
+    return noise.parts if isinstance(noise, SumNoise) else (noise,)
+
+
+def diffusion(
+    noise: AbstractNoise, plant: AbstractPlant, x: Float[Array, " nx"], u: Float[Array, " nu"], t
+) -> Float[Array, "nx nw"]:
+    """Return F(x, u, t), shape (nx, nw); raises ValueError where a noise returns another shape."""
+    F = noise(plant, x, u, t)
+    if getattr(F, "ndim", None) != 2 or F.shape[0] != plant.nx:
+        got = getattr(F, "shape", F)
+        raise ValueError(f"{type(noise).__name__}: returned {got}, wanted ({plant.nx}, nw)")
+    return F
+
+
+def _check_intensity(intensity: Array) -> None:
+    """Raise ValueError where a standard deviation is known to be negative."""
+    numbers = known(intensity)
+    if numbers is not None and (numbers < 0).any():
+        raise ValueError(f"intensity: at least 0 is wanted, got {intensity}")
 
 
 def _each(intensity: Array, u: Float[Array, " nu"], further: str = "") -> Float[Array, " nu"]:
@@ -47,10 +89,13 @@ class SignalDependentNoise(AbstractNoise):
         intensity: sigma [s^(1/2)] (per step and without unit for a discrete plant), scalar or
             shape (nu,).
 
-    Raises ValueError at the call for an intensity of another shape.
+    Raises ValueError for a negative intensity, and at the call for one of another shape.
     """
 
     intensity: Array = eqx.field(converter=leaf("intensity"))
+
+    def __check_init__(self):
+        _check_intensity(self.intensity)
 
     @classmethod
     def from_fraction(cls, fraction: ArrayLike, interval: ArrayLike) -> "SignalDependentNoise":
@@ -74,10 +119,14 @@ class AdditiveNoise(AbstractNoise):
     Arguments:
         intensity: sigma, of shape (), (nu,) or (nx, nw).
 
-    Raises ValueError at the call for an intensity of another shape.
+    Raises ValueError for a negative standard deviation, and at the call for another shape.
     """
 
     intensity: Array = eqx.field(converter=leaf("intensity"))
+
+    def __check_init__(self):
+        if self.intensity.ndim < 2:
+            _check_intensity(self.intensity)
 
     def __call__(self, plant, x, u, t):
         """Return F, shape (nx, nu) or (nx, nw)."""
@@ -89,3 +138,57 @@ class AdditiveNoise(AbstractNoise):
                 f"intensity: shape {self.intensity.shape}, wanted (), {u.shape} or ({plant.nx}, nw)"
             )
         return self.intensity
+
+
+class StateDependentNoise(AbstractNoise):
+    """Noise whose standard deviation is proportional to the state: column i of F is C_i x.
+
+    The zero of each state counts: noise proportional to a joint angle depends on where that angle
+    is zero, which is arbitrary; velocities, forces and activations have a zero of their own.
+
+    Arguments:
+        slopes: C [s^(-1/2)] (per step for a discrete plant), shape (nw, nx, nx); or sigma, (nx,),
+            for one column sigma_i x_i on each state.
+
+    Raises ValueError at the call for slopes of another shape.
+    """
+
+    slopes: Array = eqx.field(converter=leaf("slopes"))
+
+    def __call__(self, plant, x, u, t):
+        """Return the columns C_i x, shape (nx, nw)."""
+        nx = plant.nx
+        if self.slopes.shape == (nx,):
+            return jnp.diag(self.slopes * x)
+        if self.slopes.ndim != 3 or self.slopes.shape[1:] != (nx, nx):
+            raise ValueError(
+                f"slopes: shape {self.slopes.shape}, wanted ({nx},) or (nw, {nx}, {nx})"
+            )
+        return (self.slopes @ x).T
+
+
+class FunctionNoise(AbstractNoise):
+    """A noise made of a plain function.
+
+    `function(x, u, t)`, or `function(x, u, t, params)` when `params` is given, returns F, shape
+    (nx, nw). What the function depends on is treated as in `FunctionPlant`.
+
+    Arguments:
+        function: the function above.
+        params: as in `FunctionPlant`.
+
+    Raises ValueError at the call when it returns another shape.
+    """
+
+    function: Callable
+    params: Any = eqx.field(converter=as_params)
+
+    def __init__(self, function: Callable, *, params: Any = None):
+        self.function = check_function("function", function)
+        self.params = as_params(params)
+
+    def __call__(self, plant, x, u, t):
+        """Return function(x, u, t[, params]), shape (nx, nw)."""
+        if self.params is None:
+            return self.function(x, u, t)
+        return self.function(x, u, t, self.params)

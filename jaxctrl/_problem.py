@@ -27,7 +27,10 @@ class Problem(eqx.Module):
         cost: what to minimise; handed the plant at each call.
         num_steps: T, at least 1; static.
         dt: time step [s].
-        noise: process noise, or None. `ILQR` plans without it; `simulate` lets it act.
+        noise: process noise, or None; several by `+`. `ILQG` plans with it, `ILQR` without;
+            `simulate` lets it act.
+        x0_cov: covariance of the first state around the x0 that is given, shape (nx, nx), positive
+            semidefinite; None, where it is known exactly. `simulate` draws the start from it.
         control_bounds: (lower, upper), scalars or shapes (nu,) or (T, nu); None takes the plant's
             own, (-inf, inf) removes them. `problem.bounds` are those in use, each (T, nu);
             `problem.control_bounds` is None where they are the plant's.
@@ -46,6 +49,7 @@ class Problem(eqx.Module):
     noise: AbstractNoise | None
     control_bounds: Bounds | None
     integrator: AbstractIntegrator
+    x0_cov: Float[Array, "nx nx"] | None
 
     def __init__(
         self,
@@ -55,6 +59,7 @@ class Problem(eqx.Module):
         num_steps: int,
         dt: ArrayLike = 0.01,
         noise: AbstractNoise | None = None,
+        x0_cov: ArrayLike | None = None,
         control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
         integrator: AbstractIntegrator | None = None,
     ):
@@ -83,6 +88,7 @@ class Problem(eqx.Module):
                 f"discrete={plant.discrete}"
             )
         self.integrator = integrator
+        self.x0_cov = None if x0_cov is None else array_leaf(x0_cov, "x0_cov")
 
     def __check_init__(self):
         for name in ("nx", "nu"):  # a plant of the user's own class may have any
@@ -91,6 +97,7 @@ class Problem(eqx.Module):
             raise ValueError(f"dt: one number is wanted, got shape {self.dt.shape}")
         if is_concrete(self.dt) and not np.asarray(self.dt) > 0:  # jnp would trace it, under jit
             raise ValueError(f"dt: a positive time step is wanted, got {self.dt}")
+        _check_covariance("x0_cov", self.x0_cov, self.plant.nx)
         bounds = self.bounds
         if bounds is not None and is_concrete(*bounds):
             lower, upper = np.asarray(bounds[0]), np.asarray(bounds[1])
@@ -260,6 +267,27 @@ class Problem(eqx.Module):
         states = xs[k] + fraction[:, None] * (xs[k + 1] - xs[k])
         value = jax.vmap(group.value, in_axes=(None, 0, 0))
         return k, value(self.plant, states, jnp.arange(k.size)), states
+
+
+def _check_covariance(name: str, covariance: Array | None, n: int) -> None:
+    """Raise ValueError for what is no covariance (n, n), where values can be known."""
+    if covariance is None:
+        return
+    if covariance.shape != (n, n):
+        raise ValueError(f"{name}: got shape {covariance.shape}, wanted ({n}, {n})")
+    if not is_concrete(covariance):
+        return
+    values = np.asarray(covariance)
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name}: not finite")
+    room = np.finfo(values.dtype).eps ** 0.5 * np.abs(values).max(initial=0.0)
+    if np.abs(values - values.T).max() > room:
+        raise ValueError(f"{name}: a symmetric matrix is wanted, got {values}")
+    lowest = np.linalg.eigvalsh(values).min()
+    if lowest < -room:
+        raise ValueError(
+            f"{name}: a positive semidefinite matrix is wanted, got one with eigenvalue {lowest:g}"
+        )
 
 
 def _bounds_shape(bounds, nu: int, num_steps: int) -> tuple[int, ...]:

@@ -13,7 +13,8 @@ from ._checks import check_again, converted, is_concrete
 from ._controller import AbstractController, AffinePolicy, OpenLoop
 from ._function import closed
 from ._jit import jit
-from ._noise import AbstractNoise
+from ._linalg import root
+from ._noise import AbstractNoise, diffusion
 from ._plant import AbstractPlant
 from ._problem import Problem, check_x0
 from ._pulses import Pulses, Pushed
@@ -65,7 +66,8 @@ def simulate(
         problem: grid, plant, cost and noise. All arrays among the arguments are promoted to one
             floating dtype, the widest among them.
         controller: what acts, such as `solution.policy` or `OpenLoop(us)`.
-        x0: true starting state, shape (nx,).
+        x0: true starting state, shape (nx,); with a key and the problem's `x0_cov`, the mean of the
+            normal distribution from which it is drawn.
         belief: where the controller believes to start, shape (nx,); x0 by default.
         key: a `jax.random.key`; without one nothing is random and the problem's noise is off.
         plant, noise: what really moves and disturbs, where that differs from the problem's. The
@@ -92,10 +94,12 @@ def simulate(
     mover = problem.plant if plant is None else _check_plant(plant, problem.plant)
     noise = _check_noise(problem.noise if noise is None else noise, noise is not None, key)
     if key is not None:
-        _check_key(key)
-        if noise is None and isinstance(controller, AffinePolicy | OpenLoop):
+        check_key(key)
+        silent = noise is None and problem.x0_cov is None
+        if silent and isinstance(controller, AffinePolicy | OpenLoop):
             warnings.warn(
-                "key: given, but nothing is random: neither the problem nor this call has `noise`",
+                "key: given, but nothing is random: neither the problem nor this call has `noise`, "
+                "nor the problem an `x0_cov`",
                 stacklevel=2,
             )
     pulses = Pulses() if pulses is None else pulses
@@ -146,7 +150,8 @@ def _check_noise(noise: Any, given: bool, key: Any) -> AbstractNoise | None:
     return noise
 
 
-def _check_key(key) -> None:
+def check_key(key) -> None:
+    """Raise TypeError or ValueError for what is no single key."""
     typed = isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
     old = hasattr(key, "dtype") and key.dtype == jnp.uint32 and key.ndim >= 1
     if not typed and not old:
@@ -164,6 +169,9 @@ def _run(problem: Problem, controller, plant, noise, pulses, x0, belief, key) ->
     else:
         start_key, steps_key = jax.random.split(key)
         keys = jax.random.split(steps_key, T)
+        if problem.x0_cov is not None:
+            xi = jax.random.normal(jax.random.fold_in(start_key, 0), x0.shape, x0.dtype)
+            x0 = x0 + root(problem.x0_cov) @ xi
     _check_step(problem, controller, belief, start_key)
 
     def body(carry, inputs):
@@ -177,7 +185,7 @@ def _run(problem: Problem, controller, plant, noise, pulses, x0, belief, key) ->
         if pulse.states is not None:
             after = after + pulse.states
         if noise is not None and noise_key is not None:
-            F = _diffusion(noise, plant, x, u, t)
+            F = diffusion(noise, plant, x, u, t)
             xi = jax.random.normal(noise_key, F.shape[1:], F.dtype)
             after = after + scale * F @ xi
         return (after, memory), (after, u, y)
@@ -238,11 +246,3 @@ def _kinds(tree) -> tuple:
 
 def _shown(tree) -> str:
     return str(jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", tree)).replace("'", "")
-
-
-def _diffusion(noise: AbstractNoise, plant: AbstractPlant, x, u, t) -> Float[Array, "nx nw"]:
-    F = noise(plant, x, u, t)
-    if getattr(F, "ndim", None) != 2 or F.shape[0] != plant.nx:
-        got = getattr(F, "shape", F)
-        raise ValueError(f"{type(noise).__name__}: returned {got}, wanted ({plant.nx}, nw)")
-    return F

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from ._checks import is_concrete
 from ._controller import AffinePolicy
+from ._prediction import Prediction
 from ._solver import Record
 from ._status import Reason, Status
 
@@ -41,6 +42,8 @@ class Solution(eqx.Module):
         history: cost, projected gradient, accepted fraction and lambda of each iterate, each of
             shape (max_steps + 1,), padded with NaN; of a solver without iterates, shape (1,).
         num_steps: number of iterations done.
+        prediction: means and covariances under the policy, from a solver that plans with the noise;
+            None otherwise, and where nothing is uncertain.
 
     Printed, it is a small table; under vmap all arrays have a leading batch axis.
     """
@@ -54,6 +57,7 @@ class Solution(eqx.Module):
     gradient: Float[Array, " *batch"]
     history: Record
     num_steps: Int[Array, " *batch"]
+    prediction: Prediction | None = None
 
     @property
     def cost(self) -> Float[Array, " *batch"]:

@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike
 
 from . import _status
 from ._adjoint import attach, attach_gains, known_sides
+from ._adjoint_expected import Expected, attach_expected, outcome
 from ._checks import (
     check_again,
     check_instance,
@@ -24,6 +25,7 @@ from ._checks import (
 from ._controller import AffinePolicy
 from ._function import closed, describe
 from ._jit import jit
+from ._noise import diffusion
 from ._problem import Problem, check_us, check_x0
 from ._simulate import simulate
 from ._solution import Solution, SolveError, last_finite
@@ -130,10 +132,10 @@ def parts_name(path) -> str:
 
 
 def _warn(problem: Problem, solver: AbstractSolver | AbstractDirectSolver, dtype) -> None:
-    if problem.noise is not None:
+    if problem.noise is not None and not getattr(solver, "stochastic", False):
         warnings.warn(
             f"{type(solver).__name__} minimises the nominal cost: it ignores the problem's noise, "
-            "which acts in `simulate` alone",
+            "which acts in `simulate` alone; jc.ILQG() plans with it",
             stacklevel=3,
         )
     eps = float(jnp.finfo(dtype).eps)
@@ -176,6 +178,11 @@ def _calls(problem: Problem, x: Array, u: Array) -> tuple[tuple[str, Callable, A
     dynamics = problem.step if plant.discrete else plant
     return (
         ("plant", lambda: dynamics(x, u, t), (x.shape, f"({plant.nx},)")),
+        *(
+            ("noise", lambda noise=noise: _flat(diffusion(noise, plant, x, u, t)), (None, "(m,)"))
+            for noise in (problem.noise,)
+            if noise is not None
+        ),
         *((name, lambda rate=rate: rate(plant, at), scalar) for rate, name in terms.rates),
         *(
             (name, lambda rho=rho: rho(plant, at._replace(after=x)), (None, "(m,)"))
@@ -187,6 +194,10 @@ def _calls(problem: Problem, x: Array, u: Array) -> tuple[tuple[str, Callable, A
             for _, event, name in terms.events
         ),
     )
+
+
+def _flat(F: Array) -> Array:
+    return F.reshape(-1)
 
 
 def _traced(problem: Problem, k: int, x: Array, u: Array) -> Any:
@@ -209,7 +220,7 @@ def _traced(problem: Problem, k: int, x: Array, u: Array) -> Any:
         raise
     for const in jaxpr.consts:
         if not is_concrete(const):
-            owner = problem.plant if name == "plant" else problem.cost
+            owner = {"plant": problem.plant, "noise": problem.noise}.get(name, problem.cost)
             raise TypeError(
                 f"{name}: {describe(owner)} uses a traced value, {jax.typeof(const)}, in a way "
                 "that cannot be seen from outside, so that its derivative would be lost; make it "
@@ -261,24 +272,37 @@ def run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: i
     status = _final_status(solver, state)
     failed = status.code >= int(Reason.NONFINITE_INPUT)
     found = solver.found(frozen, state)
-    xs = jnp.where(failed, last_finite(found.xs), found.xs)
-    record = solver.record(state)
+    found = found._replace(xs=jnp.where(failed, last_finite(found.xs), found.xs))
+    cost = solver.record(state).cost
     side = known_sides(frozen, found.us, found.side)
-    xs, us, cost = attach((xs, found.us, record.cost), problem, x0, side, status.ok)
-    K = attach_gains(found.K, problem, xs, us, side, status.ok, solver)
-    feedback = status.ok & _feedback_needed(frozen, found, record.cost)
+    if solver.stochastic and (problem.noise is not None or problem.x0_cov is not None):
+        promised = outcome(frozen, found.xs, found.us, found.K)
+        promised = attach_expected(promised, problem, x0, side, status.ok, solver)
+        cost = promised.nominal_cost
+    else:
+        promised = _certain(found, cost, problem, x0, side, status.ok, solver)
+    feedback = status.ok & _feedback_needed(frozen, found, cost)
     status = Status(status.code, status.index, feedback)
+    xs, us, K = promised.xs, promised.us, promised.K
     return Solution(
         xs=xs,
         us=us,
-        nominal_cost=cost,
-        expected_cost=cost,
+        nominal_cost=promised.nominal_cost,
+        expected_cost=promised.expected_cost,
         policy=AffinePolicy(xs, us, jnp.zeros_like(us), K, problem.bounds, problem.dt),
         status=status,
-        gradient=record.gradient,
+        gradient=found.gradient,
         history=history,
         num_steps=count,
+        prediction=promised.prediction,
     )
+
+
+def _certain(found: Found, cost, problem: Problem, x0, side, ok, solver) -> Expected:
+    """Return what was found without noise, with its derivatives."""
+    xs, us, cost = attach((found.xs, found.us, cost), problem, x0, side, ok)
+    K = attach_gains(found.K, problem, xs, us, side, ok, solver)
+    return Expected(xs, us, K, cost, cost, None)
 
 
 def _iterate(problem, solver, x0, us, max_steps):

@@ -46,16 +46,23 @@ class Found(NamedTuple):
         K: the gains around it (T, nu, nx), those of the solver's `gains`.
         side: which controls are held at a bound, (T, nu): -1 the lower, 1 the upper, 0 neither,
             NaN where that is not known. Derivatives follow the bounds that are held.
+        gradient: the projected gradient there, in the solver's relative measure.
     """
 
     xs: Float[Array, "T+1 nx"]
     us: Float[Array, "T nu"]
     K: Float[Array, "T nu nx"]
     side: Float[Array, "T nu"]
+    gradient: Float[Array, ""]
 
 
 class AbstractSolver(eqx.Module):
     """An iteration on a state that is a pytree; it holds parameters but no state of its own."""
+
+    @property
+    @abc.abstractmethod
+    def stochastic(self) -> bool:
+        """Whether it minimises the expected cost under the problem's noise, or the nominal one."""
 
     @abc.abstractmethod
     def init(self, problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) -> Any:

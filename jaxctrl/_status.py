@@ -40,6 +40,7 @@ class Reason(enum.IntEnum):
     NONFINITE_COST = 21
     NONFINITE_DERIVATIVE = 22
     INVALID_TIME_STEP = 23
+    STALLED_EXPECTED = 24
 
     @property
     def message(self) -> str:
@@ -96,6 +97,9 @@ _MESSAGES = {
     Reason.NONFINITE_DERIVATIVE: "failed: a derivative of the dynamics or of the cost is not "
     "finite at step {index}, where its value is",
     Reason.INVALID_TIME_STEP: "failed: the time step dt is not above zero",
+    Reason.STALLED_EXPECTED: "not converged: no step lowers the expected cost, and none the "
+    "gradient of the model, which leaves out a part of what noise costs; returned is the best pair "
+    "of trajectory and gains; lower the noise, or start from the solution of a lower one",
 }
 
 

@@ -21,6 +21,7 @@ class DifferencedDDP(jc.AbstractShooting):
     """
 
     second_order: ClassVar[bool] = False
+    stochastic: ClassVar[bool] = False
     textbook: jc.DDP = jc.DDP(start="exact")
     gradient_tolerance: float | None = eqx.field(static=True, default=None)
     cost_tolerance: float | None = eqx.field(static=True, default=None)
@@ -47,7 +48,7 @@ class DifferencedDDP(jc.AbstractShooting):
         """Return the model's minimiser, and what it holds at bounds, as `DDP` does."""
         return self.textbook.law(model, damping, box, guess)
 
-    def merit(self, problem, xs, us, law):
+    def merit(self, problem, xs, us, law, model=None):
         """Return the nominal cost, shape ()."""
         return problem.total_cost(xs, us)
 

@@ -45,6 +45,9 @@ def box_lqr(
     Choosing each step's k in the box by itself (Tassa, Mansard & Todorov 2014) is not: there the
     feedback K dx leaves the box, which costs iterations when bounds bind hard.
 
+    Under noise it is the mean of du that is kept in the box, and the noise weighs on the choice by
+    the value's curvature, which itself depends on which controls are held and have no gains.
+
     The sets may cycle. After `max_sweeps`, an interior-point method, whose steps are sweeps too,
     gives them a new start, or, should they cycle again, the result.
 
@@ -62,14 +65,7 @@ def box_lqr(
     controls, and the held set, as `side`. Where the sets cycled, the controls are the interior
     point's, and the gains and the set are those of the bounds that it is at; where neither method
     ended, `settled` is False and `side` NaN.
-
-    Raises ValueError for a model with noise.
     """
-    if model.noise is not None:
-        raise ValueError(
-            "model: one without noise is wanted: under noise controls in a box are no single "
-            "quadratic program"
-        )
     sweeps = find_engine(engine)
     lower, upper = jnp.asarray(lower), jnp.asarray(upper)
     box = Box(model, jnp.broadcast_to(damping, lower.shape), lower, upper)

@@ -119,6 +119,8 @@ def held_lqr(
 
     Arguments and result as of `_riccati.held_lqr`. Not differentiable in reverse mode.
     """
+    if model.noise is not None:
+        return _riccati.held_lqr(model, free, held, damping, extra)
     extra = jnp.broadcast_to(extra, held.shape)
     law = _law(model, free, jnp.where(free, 0.0, held), damping, extra)
     dxs = _affine_forth(law.F, jax.vmap(_product)(model.fu, law.k))

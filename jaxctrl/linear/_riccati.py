@@ -118,8 +118,9 @@ class Given(NamedTuple):
 class Step(NamedTuple):
     """What a sweep knows at one step: the value ahead and before, Q, the law, and two gradients.
 
-    `gradient` is that of the total cost in the controls with no law beyond, and without noise;
-    `steady` the same under the gains beyond; neither has the rule's own prices.
+    `gradient` is that of the total cost in the controls with no law beyond, plus that of what the
+    noise costs under the gains; `steady` the same with the mean, too, under the gains beyond;
+    neither has the rule's own prices.
     """
 
     ahead: Value
@@ -150,10 +151,10 @@ def sweep(model: LocalModel, rule: Rule, keep: Callable[[Step], Any]) -> tuple[V
         before = value(ahead, stage, Q, law.k, law.K, best=rule.best)
         # Columns: the costate, and the slope in the state under the gains alone.
         x, u = pull(plain, aside)
-        steady_x, steady_u = x[:, 1], u[:, 1]
         if stage.noise is not None:
             without = pull(stage, ahead.vx)
-            steady_x, steady_u = steady_x + Q.x - without[0], steady_u + Q.u - without[1]
+            x, u = x + (Q.x - without[0])[:, None], u + (Q.u - without[1])[:, None]
+        steady_x, steady_u = x[:, 1], u[:, 1]
         aside = jnp.stack([x[:, 0], steady_x + matmul(law.K.T, steady_u)], axis=1)
         return (before, aside), keep(Step(ahead, before, Q, law, u[:, 0], steady_u))
 
@@ -171,11 +172,11 @@ class Sweep(NamedTuple):
     """A law du = k + K dx, and what it promises.
 
     A step of length a along it changes the damped model's cost by a `linear` + a^2 `quadratic`.
-    `gradient` is that of the total cost in the controls, `curvature` the diagonal of each Q_uu less
-    the step's own damping. `ok` tells whether every Q_uu was positive definite; where it was not,
-    `failed` is the last such step of time. `nonfinite` is the last step of time at which something
-    was not finite, T for the last state; -1 where all was. `settled` tells whether the set of
-    controls at bounds was found.
+    `gradient` is that of the total cost in the controls, under noise of the expected cost as the
+    model has it; `curvature` the diagonal of each Q_uu less the step's own damping. `ok` tells
+    whether every Q_uu was positive definite; where it was not, `failed` is the last such step of
+    time. `nonfinite` is the last step of time at which something was not finite, T for the last
+    state; -1 where all was. `settled` tells whether the set of controls at bounds was found.
     """
 
     k: Float[Array, "T nu"]

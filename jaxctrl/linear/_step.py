@@ -95,7 +95,8 @@ def value(
     F = stage.fx + matmul(stage.fu, K)
     across = matmul(K.T, stage.lux + 0.5 * matmul(stage.luu, K))
     vxx = stage.lxx + 2 * across + matmul(F.T, matmul(ahead.vxx, F))
-    for C in () if stage.noise is None else _closed(stage.noise, K):
+    C = None if stage.noise is None else disturbance(stage.noise, K)[1]
+    if C is not None:
         vxx = vxx + jnp.einsum("ixj,xy,iyk->jk", C, ahead.vxx, C)
     return Value(v, vx, symmetrise(vxx))
 
@@ -107,12 +108,13 @@ def _columns(noise: Noise, nx: int, nu: int) -> tuple[Array, Array, Array]:
     return c, cx, jnp.zeros((*c.shape, nu), c.dtype) if cu is None else cu
 
 
-def _closed(noise: Noise, K: Array) -> tuple[Array, ...]:
-    """Return the slopes of the noise in the state under gains K (nu, nx), if it has any."""
+def disturbance(noise: Noise, K: Array) -> tuple[Array, Array | None]:
+    """Return the noise's columns c_i (nw, nx) and, under gains K (nu, nx), their slopes in the
+    state, cx_i + cu_i K (nw, nx, nx); None where they have none."""
     if noise.cx is None and noise.cu is None:
-        return ()
-    _, cx, cu = _columns(noise, K.shape[1], K.shape[0])
-    return (cx + cu @ K,)
+        return noise.c, None
+    c, cx, cu = _columns(noise, K.shape[1], K.shape[0])
+    return c, cx + cu @ K
 
 
 def _disturbed(stage: Stages, vxx: Array) -> Action:

@@ -10,6 +10,7 @@ from ._judging import Tolerances as Tolerances
 from .boundary_value import BoundaryValue as BoundaryValue
 from .conjugate_gradient import ConjugateGradient as ConjugateGradient
 from .ddp import DDP as DDP
+from .ilqg import ILQG as ILQG
 from .ilqr import ILQR as ILQR
 from .lbfgs import LBFGS as LBFGS
 from .shooting import AbstractShooting as AbstractShooting

@@ -11,7 +11,7 @@ enough to hope for convergence; it renews D and decides by the same tests as `IL
 """
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -319,6 +319,7 @@ def _judge(
 class AbstractDescent(AbstractMinimiser):
     """A solver of this kind: it says which direction to search, and how exactly."""
 
+    stochastic: ClassVar[bool] = False
     _curvature: eqx.AbstractClassVar[float]
 
     @abc.abstractmethod
@@ -381,7 +382,8 @@ class AbstractDescent(AbstractMinimiser):
         """
         xs = problem.rollout(state.x0, state.us)
         side = _measure(problem, state.x0, state.us).side
-        return Found(xs, state.us, self.gains(problem, xs, state.us, side), side)
+        K = self.gains(problem, xs, state.us, side)
+        return Found(xs, state.us, K, side, state.gradient)
 
     def gains(self, problem, xs, us, side):
         """Return the gains (T, nu, nx) of a Riccati sweep around xs (T+1, nx), us (T, nu)."""

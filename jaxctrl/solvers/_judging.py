@@ -56,7 +56,8 @@ def input_status(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T 
         infeasible = Status.of(Reason.INFEASIBLE_BOUNDS, jnp.argmax(crossed))
         status = _status.where(crossed.any(), infeasible, status)
     status = _status.where(problem.dt > 0, status, Status.of(Reason.INVALID_TIME_STEP))
-    every = jax.tree_util.tree_leaves_with_path((problem.plant, problem.cost, problem.dt, x0, us))
+    parts = (problem.plant, problem.cost, problem.noise, problem.x0_cov, problem.dt, x0, us)
+    every = jax.tree_util.tree_leaves_with_path(parts)
     inputs = [
         leaf
         for path, leaf in every

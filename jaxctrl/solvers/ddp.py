@@ -1,6 +1,6 @@
 """Differential dynamic programming: the exact second order, with bounds on the controls."""
 
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import equinox as eqx
 
@@ -36,6 +36,7 @@ class DDP(AbstractShooting):
     Raises: ValueError for an unknown `sweep` or `start`.
     """
 
+    stochastic: ClassVar[bool] = False
     gradient_tolerance: float | None = eqx.field(static=True, default=None)
     cost_tolerance: float | None = eqx.field(static=True, default=None)
     step_tolerance: float | None = eqx.field(static=True, default=None)
@@ -61,6 +62,6 @@ class DDP(AbstractShooting):
         """Return the model's exact minimiser, in the box if there is one, and what it holds."""
         return box_or_free_law(model, damping, box, guess, self.sweep)
 
-    def merit(self, problem, xs, us, law):
+    def merit(self, problem, xs, us, law, model=None):
         """Return the nominal cost, shape ()."""
         return problem.total_cost(xs, us)

@@ -35,6 +35,7 @@ class ILQR(AbstractShooting):
     """
 
     second_order: ClassVar[bool] = False
+    stochastic: ClassVar[bool] = False
     gradient_tolerance: float | None = eqx.field(static=True, default=None)
     cost_tolerance: float | None = eqx.field(static=True, default=None)
     step_tolerance: float | None = eqx.field(static=True, default=None)
@@ -51,6 +52,6 @@ class ILQR(AbstractShooting):
         """Return the model's exact minimiser, in the box if there is one, and what it holds."""
         return box_or_free_law(model, damping, box, guess, self.sweep)
 
-    def merit(self, problem, xs, us, law):
+    def merit(self, problem, xs, us, law, model=None):
         """Return the nominal cost, shape ()."""
         return problem.total_cost(xs, us)

@@ -30,6 +30,7 @@ from ._judging import (
     start_status,
 )
 from ._minimiser import AbstractMinimiser
+from ._polish import Pair, Polish, advance, begin, failed, proceeds
 from ._rollout import rollout_law
 from .line_search import Trial, search
 
@@ -58,6 +59,7 @@ class ShootingState(eqx.Module):
         final: whether the gains are those of the solver's own model, undamped.
         num_accepted: number of steps accepted so far.
         status: `RUNNING`, or why the iteration ends.
+        polish: how a stochastic solver gets on where costs fall no more; None for others.
     """
 
     xs: Float[Array, "T+1 nx"]
@@ -76,14 +78,18 @@ class ShootingState(eqx.Module):
     final: Bool[Array, ""]
     num_accepted: Int[Array, ""]
     status: Status
+    polish: Polish | None
 
 
-def init(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) -> ShootingState:
+def init(
+    problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T nu"], stochastic: bool
+) -> ShootingState:
     """Return the state before anything was computed; the first step rolls the controls out."""
+    us, xs = clip(us, problem.bounds), jnp.broadcast_to(x0, (problem.num_steps + 1, x0.size))
     none, number = jnp.zeros_like(us), jnp.zeros((), us.dtype)
     return ShootingState(
-        xs=jnp.broadcast_to(x0, (problem.num_steps + 1, x0.size)),
-        us=clip(us, problem.bounds),
+        xs=xs,
+        us=us,
         cost=jnp.full((), jnp.nan, us.dtype),
         start_cost=number,
         sweep=no_sweep(us, x0.size),
@@ -98,6 +104,7 @@ def init(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) ->
         final=jnp.array(False),
         num_accepted=jnp.array(0),
         status=input_status(problem, x0, us),
+        polish=begin(xs, us) if stochastic else None,
     )
 
 
@@ -120,18 +127,21 @@ def step(
     trying = solver.second_order & state.measured & ~state.second & _bare(state)
     anew = undone | (trying & (state.fraction > 0))
     lam, factor = _schedule(state, fraction, state.measured & ~anew)
-    lam = jnp.where(last, 0.0, lam)
+    polishing = proceeds(state.polish, _vain(state, fraction), state.gradient)
+    lam = jnp.where(last | polishing, 0.0, lam)
     second = solver.second_order & (((state.gradient <= NEAR) | trying) & ~undone | last)
     model = solver.expand(problem, trial.xs, trial.us, second)
     damping = lam * _marquardt(state)
     box = None if bounds is None else (bounds[0] - trial.us, bounds[1] - trial.us)
     sweep, side = solver.law(model, damping, box, state.side)
     start_cost = jnp.where(state.measured, state.start_cost, trial.cost)
-    scale = cost_scale(trial.cost, start_cost)
+    scale, cost = cost_scale(trial.cost, start_cost), trial.cost
+    if solver.stochastic:  # with the new gains
+        cost = solver.merit(problem, trial.xs, trial.us, sweep, model)
     new = ShootingState(
         xs=trial.xs,
         us=trial.us,
-        cost=trial.cost,
+        cost=cost,
         start_cost=start_cost,
         sweep=sweep,
         side=side,
@@ -145,11 +155,36 @@ def step(
         final=jnp.array(True),
         num_accepted=state.num_accepted + (trial.accepted & state.measured),
         status=state.status,
+        polish=state.polish,
     )
     judged = _judge(problem, state, new, solver.tolerances)
     final = (lam == 0) & (second == solver.second_order)
     new = eqx.tree_at(lambda s: (s.status, s.final), new, (judged, final))
+    if state.polish is not None:
+        new = _polished(state.polish, state, new, polishing)
     return _settle(state, new, last)
+
+
+def _vain(state: ShootingState, fraction: Array) -> Array:
+    """Tell whether a search along a law that was all but undamped has led to nothing."""
+    whole = state.sweep.ok & state.sweep.settled & (state.lam <= LAM_SURE)
+    return state.measured & whole & (fraction == 0)
+
+
+def _polished(
+    polish: Polish, old: ShootingState, new: ShootingState, proceeding: Array
+) -> ShootingState:
+    """Take back a step of polishing that failed, and keep the best pair."""
+    vain = failed(polish, old.gradient, new.gradient)
+    back = eqx.tree_at(
+        lambda s: (s.fraction, s.status), old, (jnp.zeros_like(old.fraction), new.status)
+    )
+    new = jax.tree.map(lambda a, b: jnp.where(vain, a, b), back, new)
+    lowered = (new.fraction > 0) & ~polish.going
+    pair = Pair(new.xs, new.us, new.sweep.K, new.side, new.cost, new.gradient)
+    usable = new.sweep.ok & new.sweep.settled
+    after = advance(polish, proceeding, vain, lowered, pair, usable)
+    return eqx.tree_at(lambda s: s.polish, new, after)
 
 
 def _marquardt(state: ShootingState) -> Array:
@@ -184,9 +219,8 @@ def _search(
         return -(fraction * sweep.linear + fraction**2 * sweep.quadratic)
 
     nominal = Trial(state.xs, state.us, state.cost, none, jnp.array(False))
-    return search(
-        nominal, trial_of, expected_of, state.round_off, wanted=wanted, forced=~state.measured
-    )
+    forced = ~state.measured if state.polish is None else ~state.measured | state.polish.going
+    return search(nominal, trial_of, expected_of, state.round_off, wanted=wanted, forced=forced)
 
 
 def _settle(state: ShootingState, new: ShootingState, last: Array) -> ShootingState:
@@ -236,9 +270,10 @@ def _judge(problem, old: ShootingState, new: ShootingState, tolerances: Toleranc
     )
 
     status = Status.of(Reason.RUNNING)
+    failed_search = Reason.LINE_SEARCH_FAILED if old.polish is None else Reason.STALLED_EXPECTED
     for condition, reason, index in (
         (hopeless, Reason.STALLED, -1),
-        (stuck & old.sweep.ok, Reason.LINE_SEARCH_FAILED, -1),
+        (stuck & old.sweep.ok, failed_search, -1),
         (stuck & ~old.sweep.ok, Reason.REGULARISATION_EXHAUSTED, old.sweep.failed),
         (bottomless & (old.start_cost != 0), Reason.UNBOUNDED_COST, -1),
         (at_rest, Reason.CONVERGED_GRADIENT, -1),
@@ -289,13 +324,21 @@ class AbstractShooting(AbstractMinimiser):
 
     @abc.abstractmethod
     def merit(
-        self, problem: Problem, xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"], law: Sweep
+        self,
+        problem: Problem,
+        xs: Float[Array, "T+1 nx"],
+        us: Float[Array, "T nu"],
+        law: Sweep,
+        model: LocalModel | None = None,
     ) -> Float[Array, ""]:
-        """Return what each step must lower, shape (), for xs (T+1, nx), us (T, nu) and a law."""
+        """Return what each step must lower, shape (), for xs (T+1, nx), us (T, nu) and a law.
+
+        `model` is the expansion there, where it is known already.
+        """
 
     def init(self, problem, x0, us):
         """Return the state before anything was computed, from us (T, nu) and x0 (nx,)."""
-        return init(problem, x0, us)
+        return init(problem, x0, us, self.stochastic)
 
     def step(self, problem, state, last=False):
         """Search along the law, then expand and sweep anew; arrays keep their shapes."""
@@ -313,9 +356,15 @@ class AbstractShooting(AbstractMinimiser):
         """Return the last trajectory, xs (T+1, nx) and us (T, nu), and the gains around it.
 
         Without noise the policy reproduces that trajectory: the step that the sweep would take
-        next is not part of it.
+        next is not part of it. Of a stochastic solver that did not converge, the best pair met.
         """
-        return Found(state.xs, state.us, state.sweep.K, state.side)
+        last = Found(state.xs, state.us, state.sweep.K, state.side, state.gradient)
+        if state.polish is None:
+            return last
+        best = state.polish.best
+        kept = Found(best.xs, best.us, best.K, best.side, best.gradient)
+        worse = ~state.status.ok & jnp.isfinite(best.cost)
+        return jax.tree.map(lambda a, b: jnp.where(worse, a, b), kept, last)
 
     def gains(self, problem, xs, us, side):
         """Return the gains (T, nu, nx) of the model around xs (T+1, nx), us (T, nu)."""

@@ -1,0 +1,172 @@
+"""Derivatives of a stochastic solver's end: of controls, gains, expected cost and covariances.
+
+Such a solver ends where its own law is at rest: g(u; p) = 0 for the controls that are free, with g
+the gradient of its local model, noise included, and the others at their bounds. That is no gradient
+of the expected cost, whose envelope theorem does not hold here. Differentiating g,
+
+    (dg/du)_FF du_F = -(dg/dp dp)_F - (dg/du)_FA dbound_A,
+
+a linear system with one unknown for each free control. dg/du holds third derivatives of the
+dynamics, weighed by the noise; it is applied, never formed, in GMRES iterations (Saad & Schultz
+1986) that the Hessian of the nominal cost and of the noise's own second moments preconditions: one
+Riccati sweep each. First Newton steps with the same system bring g to round-off.
+
+All else is a function of the controls and of p: the derivatives follow by the chain rule.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+from jax.scipy.sparse.linalg import gmres
+from jaxtyping import Array, Bool, Float
+
+from ._adjoint import instantiate, nan_unless, tame
+from ._jacobian import push_forward
+from ._local_model import expand
+from ._prediction import Prediction, noise_cost, predict
+from ._problem import Problem
+from ._solver import AbstractSolver
+from .linear._factorised import factorise, solve_factorised
+from .linear._riccati import Holding, sweep
+
+NEWTON_STEPS = 3
+POLISHED = 1e-9
+"""The largest Newton step, relative to the largest control, that may be left."""
+RESTART, ROUNDS = 30, 10
+"""Of GMRES: how many directions it keeps, and how often it begins again."""
+PRECISE = 1e-12
+"""The relative error of the linear system at which it ends."""
+
+
+class Expected(NamedTuple):
+    """What a stochastic solver has found: a movement, its gains, and what they promise."""
+
+    xs: Float[Array, "T+1 nx"]
+    us: Float[Array, "T nu"]
+    K: Float[Array, "T nu nx"]
+    nominal_cost: Float[Array, ""]
+    expected_cost: Float[Array, ""]
+    prediction: Prediction | None
+
+
+def outcome(
+    problem: Problem,
+    xs: Float[Array, "T+1 nx"],
+    us: Float[Array, "T nu"],
+    K: Float[Array, "T nu nx"],
+) -> Expected:
+    """Return what gains K (T, nu, nx) around a trajectory xs (T+1, nx), us (T, nu) promise."""
+    model = expand(problem, xs, us, noise=True)
+    cost = problem.total_cost(xs, us)
+    expected = cost + noise_cost(problem, model, K)
+    return Expected(xs, us, K, cost, expected, predict(problem, model, xs, us, K))
+
+
+@eqx.filter_custom_jvp
+def attach_expected(
+    found: Expected, problem: Problem, x0: Array, side: Array, ok: Array, solver: AbstractSolver
+) -> Expected:
+    """Return what was found with its derivatives in the problem and in x0 (nx,).
+
+    `side` (T, nu) tells which controls are at a bound. Where `ok` is False, or the law cannot be
+    brought to rest, derivatives are NaN, except that a zero cotangent gives zero.
+    """
+    return found
+
+
+@attach_expected.def_jvp
+def _attach_jvp(primals, tangents):
+    found, problem, x0, side, ok, solver = primals
+    _, t_problem, t_x0, _, _, _ = tangents
+    found = attach_expected(found, problem, x0, side, ok, solver)
+    us, x0, problem = tame((found.us, x0, problem), ok)
+    arrays, static = eqx.partition(problem, eqx.is_inexact_array)
+    us, rested = _rest(*jax.lax.stop_gradient((us, arrays, x0, side)), static, solver)
+
+    def everything(given):
+        arrays, x0 = given
+        problem = eqx.combine(arrays, static)
+        at_rest = _attach_controls(us, arrays, x0, side, static, solver)
+        xs = problem.rollout(x0, at_rest)
+        return outcome(problem, xs, at_rest, solver.gains(problem, xs, at_rest, side))
+
+    _, pushed = push_forward(everything, (arrays, x0), (t_problem, t_x0))
+    along = (instantiate(arrays, t_problem), instantiate(x0, t_x0))
+    every, _ = jax.flatten_util.ravel_pytree(along)
+    fine = ok & rested
+    alarm = jnp.sum(nan_unless(fine, every))
+    return found, jax.tree.map(lambda t: t + nan_unless(fine, t) + alarm, pushed)
+
+
+def _residual(us, arrays, x0, side, static, solver) -> Float[Array, "T nu"]:
+    """Return the model's gradient in the free controls, and how far others are from bounds."""
+    problem = eqx.combine(arrays, static)
+    model = solver.expand(problem, problem.rollout(x0, us), us, True)
+    none = jnp.zeros_like(us)
+    rule = Holding(side == 0, none, none, none)
+    gradient = sweep(model, rule, lambda step: step.gradient)[1]
+    if problem.bounds is None:
+        return gradient
+    lower, upper = problem.bounds
+    return jnp.where(side < 0, us - lower, jnp.where(side > 0, us - upper, gradient))
+
+
+def _solve(us, arrays, x0, side, static, solver, rhs) -> Float[Array, "T nu"]:
+    """Return du with (dr/du) du = rhs, r the residual, both (T, nu)."""
+    free = side == 0
+    problem = eqx.combine(arrays, static)
+    slope = jax.linearize(lambda us: _residual(us, arrays, x0, side, static, solver), us)[1]
+    fixed = jax.lax.stop_gradient(solver.expand(problem, problem.rollout(x0, us), us, True))
+    near = factorise(fixed, free)
+
+    def apply(du):
+        return jnp.where(free, slope(jnp.where(free, du, 0.0)), du)
+
+    def precondition(r):
+        return jnp.where(free, solve_factorised(near, -r, jnp.zeros_like(r))[1], r)
+
+    held = jnp.where(free, 0.0, rhs)
+    rhs = jnp.where(free, rhs - slope(held), rhs)
+
+    def solve(apply, rhs):
+        return gmres(apply, rhs, tol=PRECISE, restart=RESTART, maxiter=ROUNDS, M=precondition)[0]
+
+    # Transposed, it is the same system's transpose, which the same preconditioner fits.
+    return jax.lax.custom_linear_solve(apply, rhs, solve=solve, transpose_solve=solve)
+
+
+def _rest(us, arrays, x0, side, static, solver) -> tuple[Float[Array, "T nu"], Bool[Array, ""]]:
+    """Bring the law to rest by Newton's method; return the controls, and whether it is."""
+
+    def newton(_, carry):
+        us, _ = carry
+        step = -_solve(us, arrays, x0, side, static, solver, _residual(
+            us, arrays, x0, side, static, solver
+        ))  # fmt: skip
+        return us + step, jnp.max(jnp.abs(step))
+
+    us, last = jax.lax.fori_loop(0, NEWTON_STEPS, newton, (us, jnp.zeros((), us.dtype)))
+    return us, last <= POLISHED * jnp.max(jnp.abs(us))
+
+
+@eqx.filter_custom_jvp
+def _attach_controls(us, arrays, x0, side, static, solver) -> Float[Array, "T nu"]:
+    """Return controls at rest, us (T, nu), with their derivatives in the arrays and x0 (nx,)."""
+    return us
+
+
+@_attach_controls.def_jvp
+def _controls_jvp(primals, tangents):
+    us, arrays, x0, side, static, solver = primals
+    _, t_arrays, t_x0, _, _, _ = tangents
+    us = _attach_controls(us, arrays, x0, side, static, solver)
+
+    def residual(given):
+        arrays, x0 = given
+        return _residual(us, arrays, x0, side, static, solver)
+
+    _, pushed = push_forward(residual, (arrays, x0), (t_arrays, t_x0))
+    return us, -_solve(us, arrays, x0, side, static, solver, pushed)

@@ -1,0 +1,111 @@
+"""ILQG against ILQR, multiplicative LQG in NumPy, simulated trials, and differences of solves."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxctrl as jc
+
+T, DT = 30, 0.02
+A = np.array([[0.0, 1.0, 0.0], [-2.0, -0.5, 1.0], [0.0, 0.0, -10.0]])
+B = np.array([[0.0, 0.0], [0.3, -0.2], [10.0, 5.0]])
+Q, R, QF = np.diag([1.0, 0.1, 0.0]), np.diag([0.02, 0.05]), np.diag([50.0, 5.0, 0.1])
+X0 = np.array([1.0, 0.0, 0.2])
+SIGMA = np.array([0.08, 0.05])
+STATE = 0.05 * np.random.default_rng(0).normal(size=(2, 3, 3))
+X0_COV = np.diag([1e-3, 2e-3, 0.0])
+
+
+class Linear(jc.AbstractPlant):
+    """dx/dt = A x + B u."""
+
+    A: jax.Array = eqx.field(converter=jc.array_leaf)
+    B: jax.Array = eqx.field(converter=jc.array_leaf)
+    nx = 3
+    nu = 2
+
+    def __call__(self, x, u, t):
+        return self.A @ x + self.B @ u
+
+
+def linear(noise, x0_cov=None):
+    cost = jc.QuadraticCost(Q=Q, R=R, Qf=QF)
+    return jc.Problem(Linear(A, B), cost, num_steps=T, dt=DT, noise=noise, x0_cov=x0_cov)
+
+
+SIGNAL = jc.SignalDependentNoise(SIGMA)
+EVERY = SIGNAL + jc.StateDependentNoise(STATE) + jc.AdditiveNoise(0.03 * np.eye(3))
+
+
+def multiplicative(signal, state, additive, x0_cov):
+    """Todorov's recursion for the fully observed case, in NumPy; E J from X0, and the gains."""
+    F, G = np.eye(3) + DT * A, DT * B
+    S, s, gains = QF.copy(), 0.0, []
+    W = DT * additive @ additive.T
+    for _ in range(T):
+        H = DT * R + G.T @ S @ G
+        for i, sigma in enumerate(signal):
+            C = np.sqrt(DT) * np.outer(B[:, i] * sigma, np.eye(2)[i])
+            H = H + C.T @ S @ C
+        K = -np.linalg.solve(H, G.T @ S @ F)
+        s += 0.5 * np.trace(S @ W)
+        S = DT * Q + F.T @ S @ F + sum(DT * C.T @ S @ C for C in state) + K.T @ G.T @ S @ F
+        gains.append(K)
+    return 0.5 * X0 @ S @ X0 + 0.5 * np.trace(S @ x0_cov) + s, np.array(gains[::-1])
+
+
+def test_a_linear_plant_started_at_its_deterministic_optimum_ends_at_multiplicative_lqg():
+    problem = linear(EVERY, X0_COV)
+    with pytest.warns(UserWarning, match="ignores the problem's noise"):
+        deterministic = jc.solve(problem, jc.ILQR(), X0)
+    solution = jc.solve(problem, jc.ILQG(), X0, deterministic.us)
+    cost, gains = multiplicative(SIGMA, STATE, 0.03 * np.eye(3), X0_COV)
+    assert solution.status.ok
+    np.testing.assert_allclose(solution.expected_cost, cost, rtol=1e-10)
+    np.testing.assert_allclose(solution.policy.K, gains, rtol=1e-8, atol=1e-8)
+    # The nominal cost rises while the expected one falls: a frozen noise part would refuse.
+    assert solution.nominal_cost > deterministic.nominal_cost * 1.0001
+    assert solution.history.cost[0] > cost * 1.001
+
+
+def test_predictions_are_what_trials_on_a_linear_plant_show():
+    problem = linear(EVERY, X0_COV)
+    solution = jc.solve(problem, jc.ILQG(), X0)
+    n = 40_000
+    keys = jax.random.split(jax.random.key(1), n)
+    trials = jax.jit(jax.vmap(lambda k: jc.simulate(problem, solution.policy, X0, key=k)))(keys)
+    costs, xs, us = (np.asarray(a) for a in (trials.cost, trials.xs, trials.us))
+    assert abs(costs.mean() - solution.cost) < 3.5 * costs.std() / n**0.5
+    prediction = solution.prediction
+    for values, mean, cov in (
+        (xs, prediction.xs, prediction.x_cov),
+        (us, prediction.us, prediction.u_cov),
+    ):
+        deviations = values - np.asarray(mean)
+        error = values.std(axis=0) / n**0.5
+        assert (np.abs(deviations.mean(axis=0)) <= 4.5 * error + 1e-12).all()
+        products = deviations[..., :, None] * deviations[..., None, :]
+        error = products.std(axis=0) / n**0.5
+        assert (np.abs(products.mean(axis=0) - np.asarray(cov)) <= 4.5 * error + 1e-12).all()
+
+
+@pytest.mark.parametrize("bounds", [None, (-0.5, 0.4)])
+def test_without_noise_the_steps_are_ilqrs(bounds):
+    arm = jc.plants.TorqueArm()
+    x0 = arm.at_rest(shoulder=0.785, elbow=1.571)
+    task = jc.tasks.reach(arm, arm.hand(x0) + jnp.array([-0.08, 0.08]), 0.3)
+    problem = jc.Problem(
+        arm, task.cost, num_steps=task.num_steps, dt=task.dt, control_bounds=bounds,
+        noise=jc.SignalDependentNoise(0.0),
+    )  # fmt: skip
+    ours = jc.solve(problem, jc.ILQG(), x0)
+    with pytest.warns(UserWarning):
+        theirs = jc.solve(problem, jc.ILQR(), x0)
+    assert ours.status.ok and ours.num_steps == theirs.num_steps
+    np.testing.assert_allclose(ours.history.cost, theirs.history.cost, rtol=1e-12)
+    np.testing.assert_allclose(ours.us, theirs.us, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(ours.policy.K, theirs.policy.K, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(ours.expected_cost, ours.nominal_cost, rtol=1e-14)
+    assert float(jnp.abs(ours.prediction.x_cov).max()) == 0

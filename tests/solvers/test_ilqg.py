@@ -109,3 +109,85 @@ def test_without_noise_the_steps_are_ilqrs(bounds):
     np.testing.assert_allclose(ours.policy.K, theirs.policy.K, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(ours.expected_cost, ours.nominal_cost, rtol=1e-14)
     assert float(jnp.abs(ours.prediction.x_cov).max()) == 0
+
+
+def test_derivatives_of_the_expected_cost_are_those_of_the_closed_form():
+    problem = linear(EVERY, X0_COV)
+
+    def cost(sigma, x0_cov):
+        where = lambda p: (p.noise.parts[0].intensity, p.x0_cov)  # noqa: E731
+        return jc.solve(eqx.tree_at(where, problem, (sigma, x0_cov)), jc.ILQG(), X0).cost
+
+    found = jax.grad(cost, argnums=(0, 1))(jnp.asarray(SIGMA), jnp.asarray(X0_COV))
+    for i in range(2):
+        h = np.zeros(2)
+        h[i] = 1e-5
+        up, down = (
+            multiplicative(SIGMA + d, STATE, 0.03 * np.eye(3), X0_COV)[0] for d in (h, -h)
+        )
+        np.testing.assert_allclose(found[0][i], (up - down) / 2e-5, rtol=1e-7)
+    E = 1e-3 * np.eye(3)
+    up, down = (multiplicative(SIGMA, STATE, 0.03 * np.eye(3), X0_COV + d)[0] for d in (E, -E))
+    np.testing.assert_allclose(np.sum(E * found[1]), (up - down) / 2, rtol=1e-9)
+
+
+class Wheel(jc.AbstractPlant):
+    """A pendulum with two drives of unlike strength, each noisy in itself."""
+
+    gravity: jax.Array = eqx.field(converter=jc.array_leaf, default=4.0)
+    nx = 2
+    nu = 2
+
+    def __call__(self, x, u, t):
+        return jnp.stack([x[1], -self.gravity * jnp.sin(x[0]) + jnp.cos(x[0]) * u[0] + 0.5 * u[1]])
+
+
+@pytest.fixture(scope="module", params=[None, (-0.9, 0.9)], ids=["free", "bounded"])
+def wheel(request):
+    cost = jc.QuadraticCost(R=0.05, Qf=jnp.array([20.0, 2.0]), target=jnp.array([1.0, 0.0]))
+    return jc.Problem(
+        Wheel(), cost, num_steps=25, dt=0.04, noise=jc.SignalDependentNoise([0.15, 0.1]),
+        control_bounds=request.param, x0_cov=1e-3 * np.eye(2),
+    )  # fmt: skip
+
+
+TIGHT = jc.ILQG(gradient_tolerance=1e-11, cost_tolerance=1e-14, step_tolerance=1e-10)
+
+
+def outputs(parameters, problem, solver):
+    where = lambda p: (p.noise.intensity, p.plant.gravity, p.cost.Qf, p.cost.target)  # noqa: E731
+    problem = eqx.tree_at(where, problem, parameters[:4])
+    s = jc.solve(problem, solver, parameters[4])
+    aside = jc.simulate(problem, s.policy, parameters[4] + 0.1).xs[-1]
+    spread = jnp.diagonal(s.prediction.x_cov, axis1=1, axis2=2)[4::20].reshape(-1)
+    return jnp.concatenate(
+        [s.cost[None], s.nominal_cost[None], s.us[::8].reshape(-1), s.policy.K[3].reshape(-1),
+         spread, aside]
+    ), s  # fmt: skip
+
+
+PARAMETERS = (
+    jnp.array([0.15, 0.1]), jnp.array(4.0), jnp.array([20.0, 2.0]), jnp.array([1.0, 0.0]),
+    jnp.array([0.1, -0.2]),
+)  # fmt: skip
+
+
+def test_derivatives_under_noise_are_differences_of_solves(wheel):
+    found, solution = outputs(PARAMETERS, wheel, TIGHT)
+    assert solution.status.ok, solution.status.message
+    held = (solution.policy.K == 0).all(axis=-1)
+    assert held.any() == (wheel.bounds is not None)
+    tight = jax.jit(lambda p: outputs(p, wheel, TIGHT)[0])
+    along = jax.tree.map(lambda p: 0.3 + 0.2 * p, PARAMETERS)
+    loose = lambda p: outputs(p, wheel, jc.ILQG())[0]  # noqa: E731
+    _, pushed = jax.jvp(loose, (PARAMETERS,), (along,))
+    h = 1e-4
+    up, down = (
+        tight(jax.tree.map(lambda p, a, h=h: p + h * a, PARAMETERS, along)) for h in (h, -h)
+    )
+    size = np.maximum(np.abs(pushed), 1e-2)
+    np.testing.assert_allclose(pushed / size, (up - down) / (2 * h) / size, atol=2e-6)
+    weights = np.random.default_rng(3).normal(size=found.shape)
+    pulled = jax.grad(lambda p: weights @ loose(p))(PARAMETERS)
+    both = sum(float(jnp.sum(a * b)) for a, b in zip(pulled, along, strict=True))
+    np.testing.assert_allclose(both, weights @ pushed, rtol=1e-10)

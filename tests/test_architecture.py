@@ -48,6 +48,8 @@ FLOORS = {
     "_controller": 3,
     "_simulate": 3,
     "_local_model": 3,
+    "_prediction": 3,
+    "_evaluate": 3,
     "_expand": 3,
     "plants": 3,
     "tasks": 3,
@@ -56,6 +58,7 @@ FLOORS = {
     "_solver": 4,
     "_solution": 4,
     "_adjoint": 4,
+    "_adjoint_expected": 4,
     "_audit": 4,
     "_files": 4,
     "_solve": 4,
@@ -98,14 +101,32 @@ WITHIN = {
         "_integrate",
         "_pulses",
     ],
-    3: ["_controller", "_simulate", "_local_model", "_expand", "plants", "tasks"],
-    4: ["_solver", "_solution", "_audit", "_files", "_adjoint", "_solve", "_batch"],
+    3: [
+        "_controller",
+        "_simulate",
+        "_local_model",
+        "_expand",
+        "_prediction",
+        "_evaluate",
+        "plants",
+        "tasks",
+    ],
+    4: [
+        "_solver",
+        "_solution",
+        "_audit",
+        "_files",
+        "_adjoint",
+        "_adjoint_expected",
+        "_solve",
+        "_batch",
+    ],
     5: ["solvers", "_check_gradients", "problems"],
     7: ["experiments", "bench"],
 }
 SOLVERS = [
-    "_judging", "_minimiser", "line_search", "shooting", "ilqr", "ddp", "_descent",
-    "conjugate_gradient", "lbfgs", "_hamiltonian", "_collocation", "boundary_value",
+    "_judging", "_minimiser", "line_search", "_polish", "shooting", "ilqr", "ilqg", "ddp",
+    "_descent",    "conjugate_gradient", "lbfgs", "_hamiltonian", "_collocation", "boundary_value",
 ]  # fmt: skip
 
 

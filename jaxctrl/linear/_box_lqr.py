@@ -10,6 +10,7 @@ from .._types import LocalModel
 from ._engine import Engine, find_engine
 from ._interior_point import Box, InteriorPoint, advance, barrier, begin, held, select
 from ._riccati import Held, Sweep, last_true, nonfinite
+from ._stagewise import stagewise_lqr
 
 
 class _Iterate(NamedTuple):
@@ -45,8 +46,9 @@ def box_lqr(
     Choosing each step's k in the box by itself (Tassa, Mansard & Todorov 2014) is not: there the
     feedback K dx leaves the box, which costs iterations when bounds bind hard.
 
-    Under noise it is the mean of du that is kept in the box, and the noise weighs on the choice by
-    the value's curvature, which itself depends on which controls are held and have no gains.
+    Under noise it is the mean of du that is kept in the box. What is held has no gains, on which
+    the value's curvature and so the price of noise depend: a set that reproduces itself need not
+    exist. Where none is found each step's k is chosen in the box by itself after all.
 
     The sets may cycle. After `max_sweeps`, an interior-point method, whose steps are sweeps too,
     gives them a new start, or, should they cycle again, the result.
@@ -87,7 +89,14 @@ def box_lqr(
         k, last.K, last.gradient, last.curvature - box.damping, linear, change - linear,
         last.ok.all(), last_true(~last.ok), nonfinite(model, last.finite), settled,
     )  # fmt: skip
-    return sweep, jnp.where(settled, end.side, jnp.nan)
+    side = jnp.where(settled, end.side, jnp.nan)
+    if model.noise is None:
+        return sweep, side
+    return jax.lax.cond(
+        settled | ~sweep.ok,
+        lambda: (sweep, side),
+        lambda: stagewise_lqr(model, box.lower, box.upper, box.damping),
+    )
 
 
 def _search(box: Box, sweeps: Engine, first: Array, max_sweeps: int) -> _Iterate:

@@ -109,7 +109,7 @@ def _residual(H, g, x):
     return g + matmul(H, x), jnp.finfo(x.dtype).eps * sizes
 
 
-def _solve_free(H, free, B):
+def solve_free(H, free, B):
     """Return H_FF^-1 B_F, zero elsewhere, (n, m), and whether H_FF is positive definite."""
     within = jnp.where(free[:, None] & free, H, jnp.eye(free.size, dtype=H.dtype))
     return solve_positive(within, jnp.where(free[:, None], B, 0.0))
@@ -129,7 +129,7 @@ def _pivot(H, g, lower, upper, max_steps) -> _Iterate:
 
     def body(at: _Iterate) -> _Iterate:
         x = jnp.where(at.side < 0, lower, jnp.where(at.side > 0, upper, at.x))
-        step, positive = _solve_free(H, at.side == 0, _residual(H, g, x)[0][:, None])
+        step, positive = solve_free(H, at.side == 0, _residual(H, g, x)[0][:, None])
         x = x - step[:, 0]
         finished = positive & _minimal(H, g, lower, upper, jnp.clip(x, lower, upper))
         following = jnp.where(room, _following(H, g, lower, upper, x, at.side), at.side)
@@ -179,6 +179,6 @@ def _attach_jvp(primals, tangents):
     bound = jnp.where((x <= lower) & ((r >= 0) | (x < upper)), dlower, dupper)
     held = jnp.where(free, 0.0, bound)
     # The inverse itself, as reverse mode transposes products, not an elimination.
-    inverse, _ = _solve_free(H, free, jnp.eye(x.size, dtype=x.dtype))
+    inverse, _ = solve_free(H, free, jnp.eye(x.size, dtype=x.dtype))
     step = matmul(inverse, dg + matmul(dH, x) + matmul(H, held))
     return x, jnp.where(finished, 1.0, jnp.nan) * (held - step)

@@ -225,6 +225,11 @@ def lqr(model: LocalModel, damping: ArrayLike = 0.0) -> Sweep:
     Returns: `Sweep`.
     """
     damping = jnp.broadcast_to(damping, model.lu.shape)
+    return swept(model, Free(damping), damping)
+
+
+def swept(model: LocalModel, rule: Rule, damping: Float[Array, "T nu"]) -> Sweep:
+    """Return the sweep of a rule whose price is damping (T, nu)."""
 
     def keep(step: Step):
         linear = jnp.sum(step.law.k * step.steady)
@@ -232,7 +237,7 @@ def lqr(model: LocalModel, damping: ArrayLike = 0.0) -> Sweep:
         constant = 0.0 if model.noise is None else step.Q.q - step.ahead.v
         return *step.law, step.gradient, jnp.diagonal(step.Q.uu), linear, constant, _finite(step)
 
-    first, kept = sweep(model, Free(damping), keep)
+    first, kept = sweep(model, rule, keep)
     k, K, ok, gradient, curvature, linear, constant, finite = kept
     linear = jnp.sum(linear)
     change = first.v if model.noise is None else first.v - jnp.sum(constant)

@@ -7,7 +7,7 @@ import pytest
 from test_riccati import random_model
 
 from jaxctrl._types import Noise
-from jaxctrl.linear import box_lqr, evaluate, lqr
+from jaxctrl.linear import box_lqr, evaluate, lqr, lqr_rollout
 
 NX, NU, T = 4, 2, 6
 
@@ -110,10 +110,44 @@ def test_the_parallel_sweep_leaves_noise_to_the_other():
         np.testing.assert_array_equal(a, b)
 
 
-def test_a_box_refuses_noise():
-    model = noisy(0)
-    with pytest.raises(ValueError, match="model: one without noise is wanted"):
-        box_lqr(model, -jnp.ones((T, NU)), jnp.ones((T, NU)))
+def test_under_noise_a_box_holds_the_mean_and_leaves_the_best_law_of_the_others():
+    for seed in (0, 1, 2, 4):
+        model = noisy(seed, "of the controls")
+        free_law = lqr(model)
+        _, dus = lqr_rollout(model, free_law.k, free_law.K, jnp.zeros(NX))
+        upper = 0.5 * jnp.abs(dus) + 0.01
+        found, side = box_lqr(model, -upper, upper)
+        assert found.settled and found.ok
+        free = np.asarray(side == 0)
+        assert free.any() and not free.all()
+        _, dus = lqr_rollout(model, found.k, found.K, jnp.zeros(NX))
+        assert (np.abs(dus) <= np.asarray(upper) * (1 + 1e-12)).all()
+        np.testing.assert_allclose(dus[~free], (side * upper)[~free])
+        assert (found.K[~free] == 0).all()
+        cost = lambda k, K: evaluate(model, k, K).v  # noqa: B023, E731
+        k_slope, K_slope = jax.grad(cost, argnums=(0, 1))(found.k, found.K)
+        np.testing.assert_allclose(k_slope[free], 0, atol=1e-11)
+        np.testing.assert_allclose(K_slope[free], 0, atol=1e-10)
+        assert (k_slope * side)[~free].max() < 0  # what is held pushes outwards
+        for a in (0.3, 1.0):
+            change = cost(a * found.k, found.K) - cost(0 * found.k, found.K)
+            np.testing.assert_allclose(a * found.linear + a**2 * found.quadratic, change)
+
+
+def test_where_no_set_reproduces_itself_under_noise_each_step_is_in_the_box_by_itself():
+    model = noisy(3, "of the controls")  # here sets cycle, and the interior point does not end
+    free_law = lqr(model)
+    upper = 0.5 * jnp.abs(lqr_rollout(model, free_law.k, free_law.K, jnp.zeros(NX))[1]) + 0.01
+    found, side = box_lqr(model, -upper, upper)
+    assert found.settled and (np.abs(found.k) <= np.asarray(upper)).all()
+    cost = lambda k: evaluate(model, k, found.K).v  # noqa: E731
+    slope = jax.grad(cost)(found.k)
+    # The last step's, beyond which nothing depends on it; others' at dx = 0 are not these.
+    _, dus = lqr_rollout(model, found.k, found.K, jnp.zeros(NX))
+    assert (np.abs(dus) > np.asarray(upper)).any(), "K dx leaves the box, or this tests nothing"
+    assert cost(found.k) < cost(0 * found.k) and np.isfinite(slope).all()
+    change = cost(found.k) - cost(0 * found.k)
+    np.testing.assert_allclose(found.linear + found.quadratic, change)
 
 
 def test_joseph_s_form_keeps_in_float32_what_the_short_form_loses():

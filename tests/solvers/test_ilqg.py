@@ -122,9 +122,7 @@ def test_derivatives_of_the_expected_cost_are_those_of_the_closed_form():
     for i in range(2):
         h = np.zeros(2)
         h[i] = 1e-5
-        up, down = (
-            multiplicative(SIGMA + d, STATE, 0.03 * np.eye(3), X0_COV)[0] for d in (h, -h)
-        )
+        up, down = (multiplicative(SIGMA + d, STATE, 0.03 * np.eye(3), X0_COV)[0] for d in (h, -h))
         np.testing.assert_allclose(found[0][i], (up - down) / 2e-5, rtol=1e-7)
     E = 1e-3 * np.eye(3)
     up, down = (multiplicative(SIGMA, STATE, 0.03 * np.eye(3), X0_COV + d)[0] for d in (E, -E))

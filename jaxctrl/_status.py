@@ -41,6 +41,7 @@ class Reason(enum.IntEnum):
     NONFINITE_DERIVATIVE = 22
     INVALID_TIME_STEP = 23
     STALLED_EXPECTED = 24
+    NOISE_TOO_LARGE = 25
 
     @property
     def message(self) -> str:
@@ -97,6 +98,8 @@ _MESSAGES = {
     Reason.NONFINITE_DERIVATIVE: "failed: a derivative of the dynamics or of the cost is not "
     "finite at step {index}, where its value is",
     Reason.INVALID_TIME_STEP: "failed: the time step dt is not above zero",
+    Reason.NOISE_TOO_LARGE: "failed: the noise adds over 1/eps times what the start costs without "
+    "it, or overflows: no feedback holds it; lower its intensity, or shorten the movement",
     Reason.STALLED_EXPECTED: "not converged: no step lowers the expected cost, and none the "
     "gradient of the model, which leaves out a part of what noise costs; returned is the best pair "
     "of trajectory and gains; lower the noise, or start from the solution of a lower one",

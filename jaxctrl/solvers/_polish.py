@@ -7,8 +7,12 @@ disagree. There whole steps are taken as long as each lowers the gradient of the
 from typing import NamedTuple
 
 import jax
+import jax.flatten_util
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
+
+from .._types import LocalModel
+from ..linear import Sweep
 
 NEAR = 1.0
 """The projected gradient above which no polishing begins."""
@@ -28,12 +32,19 @@ class Pair(NamedTuple):
 
 
 class Polish(NamedTuple):
-    """Whether the next step is taken whatever it costs, whether that was tried in vain since a step
-    last lowered the cost, and the best pair met so far."""
+    """How a stochastic solver gets on.
+
+    Attributes:
+        going: whether the next step is taken whatever it costs.
+        spent: whether that was tried in vain since a step last lowered the cost.
+        best: the best pair met so far.
+        nominal: what the start costs without noise; NaN before it was measured.
+    """
 
     going: Bool[Array, ""]
     spent: Bool[Array, ""]
     best: Pair
+    nominal: Float[Array, ""]
 
 
 def begin(xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"]) -> Polish:
@@ -41,7 +52,8 @@ def begin(xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"]) -> Polish:
     K = jnp.zeros((*us.shape, xs.shape[1]), us.dtype)
     worst = jnp.full((), jnp.inf, us.dtype)
     none = jnp.array(False)
-    return Polish(none, none, Pair(xs, us, K, jnp.full_like(us, jnp.nan), worst, worst))
+    pair = Pair(xs, us, K, jnp.full_like(us, jnp.nan), worst, worst)
+    return Polish(none, none, pair, jnp.full((), jnp.nan, us.dtype))
 
 
 def proceeds(
@@ -75,4 +87,16 @@ def advance(
     """
     better = usable & (pair.cost < polish.best.cost)
     best = jax.tree.map(lambda new, old: jnp.where(better, new, old), pair, polish.best)
-    return Polish(proceeding & ~vain, (polish.spent | vain) & ~lowered, best)
+    spent = (polish.spent | vain) & ~lowered
+    return Polish(proceeding & ~vain, spent, best, polish.nominal)
+
+
+def swamped(polish: Polish, model: LocalModel, sweep: Sweep, cost: Array) -> Bool[Array, ""]:
+    """Tell whether noise adds 1/eps times what the start costs without it, or overflows.
+
+    Arguments: the last model and its sweep, and the expected cost ().
+    """
+    without = model._replace(noise=None)
+    sound = jnp.isfinite(jax.flatten_util.ravel_pytree(without)[0]).all()
+    tame = cost * jnp.finfo(cost.dtype).eps <= jnp.abs(polish.nominal)
+    return sound & jnp.where(sweep.ok, ~tame & (polish.nominal != 0), sweep.nonfinite >= 0)

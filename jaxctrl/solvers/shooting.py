@@ -30,7 +30,7 @@ from ._judging import (
     start_status,
 )
 from ._minimiser import AbstractMinimiser
-from ._polish import Pair, Polish, advance, begin, failed, proceeds
+from ._polish import Pair, Polish, advance, begin, failed, proceeds, swamped
 from ._rollout import rollout_law
 from .line_search import Trial, search
 
@@ -136,8 +136,11 @@ def step(
     sweep, side = solver.law(model, damping, box, state.side)
     start_cost = jnp.where(state.measured, state.start_cost, trial.cost)
     scale, cost = cost_scale(trial.cost, start_cost), trial.cost
-    if solver.stochastic:  # with the new gains
-        cost = solver.merit(problem, trial.xs, trial.us, sweep, model)
+    polish = state.polish
+    if polish is not None:
+        cost = solver.merit(problem, trial.xs, trial.us, sweep, model)  # with the new gains
+        nominal = problem.total_cost(trial.xs, trial.us)
+        polish = polish._replace(nominal=jnp.where(state.measured, polish.nominal, nominal))
     new = ShootingState(
         xs=trial.xs,
         us=trial.us,
@@ -155,13 +158,16 @@ def step(
         final=jnp.array(True),
         num_accepted=state.num_accepted + (trial.accepted & state.measured),
         status=state.status,
-        polish=state.polish,
+        polish=polish,
     )
     judged = _judge(problem, state, new, solver.tolerances)
     final = (lam == 0) & (second == solver.second_order)
     new = eqx.tree_at(lambda s: (s.status, s.final), new, (judged, final))
-    if state.polish is not None:
-        new = _polished(state.polish, state, new, polishing)
+    if polish is not None:
+        drowned = swamped(polish, model, sweep, cost) & state.status.is_(Reason.RUNNING)
+        too_large = _status.where(drowned, Status.of(Reason.NOISE_TOO_LARGE), new.status)
+        new = eqx.tree_at(lambda s: s.status, new, too_large)
+        new = _polished(polish, state, new, polishing)
     return _settle(state, new, last)
 
 

@@ -35,8 +35,9 @@ def linear(noise, x0_cov=None):
     return jc.Problem(Linear(A, B), cost, num_steps=T, dt=DT, noise=noise, x0_cov=x0_cov)
 
 
-SIGNAL = jc.SignalDependentNoise(SIGMA)
-EVERY = SIGNAL + jc.StateDependentNoise(STATE) + jc.AdditiveNoise(0.03 * np.eye(3))
+def every():
+    signal, state = jc.SignalDependentNoise(SIGMA), jc.StateDependentNoise(STATE)
+    return signal + state + jc.AdditiveNoise(0.03 * np.eye(3))
 
 
 def multiplicative(signal, state, additive, x0_cov):
@@ -57,7 +58,7 @@ def multiplicative(signal, state, additive, x0_cov):
 
 
 def test_a_linear_plant_started_at_its_deterministic_optimum_ends_at_multiplicative_lqg():
-    problem = linear(EVERY, X0_COV)
+    problem = linear(every(), X0_COV)
     with pytest.warns(UserWarning, match="ignores the problem's noise"):
         deterministic = jc.solve(problem, jc.ILQR(), X0)
     solution = jc.solve(problem, jc.ILQG(), X0, deterministic.us)
@@ -71,7 +72,7 @@ def test_a_linear_plant_started_at_its_deterministic_optimum_ends_at_multiplicat
 
 
 def test_predictions_are_what_trials_on_a_linear_plant_show():
-    problem = linear(EVERY, X0_COV)
+    problem = linear(every(), X0_COV)
     solution = jc.solve(problem, jc.ILQG(), X0)
     n = 40_000
     keys = jax.random.split(jax.random.key(1), n)
@@ -112,7 +113,7 @@ def test_without_noise_the_steps_are_ilqrs(bounds):
 
 
 def test_derivatives_of_the_expected_cost_are_those_of_the_closed_form():
-    problem = linear(EVERY, X0_COV)
+    problem = linear(every(), X0_COV)
 
     def cost(sigma, x0_cov):
         where = lambda p: (p.noise.parts[0].intensity, p.x0_cov)  # noqa: E731
@@ -189,3 +190,45 @@ def test_derivatives_under_noise_are_differences_of_solves(wheel):
     pulled = jax.grad(lambda p: weights @ loose(p))(PARAMETERS)
     both = sum(float(jnp.sum(a * b)) for a, b in zip(pulled, along, strict=True))
     np.testing.assert_allclose(both, weights @ pushed, rtol=1e-10)
+
+
+def test_noise_that_no_feedback_holds_is_a_status():
+    for intensity in (100.0, 1e200):
+        noise = jc.StateDependentNoise(intensity * np.eye(3)[None])
+        solution = jc.solve(linear(noise), jc.ILQG(), X0)
+        assert solution.status.name == "NOISE_TOO_LARGE", str(solution)
+    # Noise on the controls alone can be avoided: it ends with next to no control.
+    solution = jc.solve(linear(jc.SignalDependentNoise(1e3)), jc.ILQG(), X0)
+    assert solution.status.ok and np.abs(solution.us).max() < 1e-4
+
+
+def test_an_end_that_is_not_converged_is_the_best_pair_that_was_met():
+    arm = jc.plants.TorqueArm()
+    x0 = arm.at_rest(shoulder=0.785, elbow=1.571)
+    task = jc.tasks.reach(arm, arm.hand(x0) + jnp.array([-0.08, 0.08]), 0.5)
+    problem = jc.Problem(  # nearly all controls at bounds: held sets, and costs, go in a circle
+        arm, task.cost, num_steps=task.num_steps, dt=task.dt, control_bounds=(-0.5, 0.4),
+        noise=jc.SignalDependentNoise(0.05),
+    )  # fmt: skip
+    solution = jc.solve(problem, jc.ILQG(), x0, max_steps=40)
+    assert not solution.status.ok
+    met = np.asarray(solution.history.cost)
+    np.testing.assert_allclose(solution.expected_cost, np.nanmin(met), rtol=1e-12)
+    assert met[40] > 1.001 * np.nanmin(met)
+    at = np.nanargmin(met)
+    np.testing.assert_allclose(solution.gradient, solution.history.gradient[at])
+
+
+def test_derivatives_of_what_did_not_converge_are_nan():
+    problem = linear(every(), X0_COV)
+    slope = jax.grad(lambda x0: jc.solve(problem, jc.ILQG(), x0, max_steps=0).cost)(X0)
+    assert np.isnan(slope).all()
+
+
+def test_float32_ends_where_float64_does(float32):
+    problem = linear(every(), X0_COV)
+    solution = jc.solve(problem, jc.ILQG(), X0.astype(np.float32))
+    assert solution.us.dtype == jnp.float32 and solution.status.ok
+    cost, gains = multiplicative(SIGMA, STATE, 0.03 * np.eye(3), X0_COV)
+    np.testing.assert_allclose(solution.expected_cost, cost, rtol=1e-5)
+    np.testing.assert_allclose(solution.policy.K, gains, rtol=1e-3, atol=1e-3)

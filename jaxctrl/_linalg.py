@@ -96,3 +96,67 @@ def root(S: Float[Array, "n n"]) -> Float[Array, "n n"]:
         return S - l[:, None] * l, l
 
     return jax.lax.scan(column, S, index)[1].T
+
+
+@jax.custom_jvp
+def solve_semidefinite(A: Float[Array, "n n"], B: Float[Array, "n m"]) -> Float[Array, "n m"]:
+    """Solve A X = B for a symmetric A >= 0, perhaps singular, and B in its range.
+
+    The elimination of `solve_positive`, which leaves out each row whose pivot is no more than
+    20 n eps of its diagonal entry, as those before it determine it; X is zero there. Derivatives
+    are implicit, for changes that leave B in the range of A.
+
+    Returns: X (n, m).
+    """
+    n = A.shape[0]
+    diagonal = jnp.diagonal(A)
+    # Rows and columns of equal size, whatever the units.
+    size = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    least = 20 * n * jnp.finfo(A.dtype).eps
+    index = jnp.arange(n)
+
+    def eliminate(j, carry):
+        table, used = carry
+        row = jax.lax.dynamic_slice_in_dim(table, j, 1, axis=0)
+        column = jax.lax.dynamic_slice_in_dim(table, j, 1, axis=1)
+        pivot = jax.lax.dynamic_slice_in_dim(row, j, 1, axis=1)[0, 0]
+        # What is not finite is let through, so that it shows.
+        good = ~(pivot <= least)
+        row = row / jnp.where(good, pivot, 1.0)
+        after = jnp.where((index == j)[:, None], row, table - column * row)
+        return jnp.where(good, after, table), used | (good & (index == j))
+
+    table = jnp.concatenate([size[:, None] * A * size, size[:, None] * B], axis=1)
+    table, used = jax.lax.fori_loop(0, n, eliminate, (table, jnp.zeros(n, bool)))
+    return jnp.where(used[:, None], size[:, None] * table[:, n:], 0.0)
+
+
+@solve_semidefinite.defjvp  # pyright: ignore[reportArgumentType]
+def _solve_semidefinite_jvp(primals, tangents):
+    (A, B), (dA, dB) = primals, tangents
+    m = B.shape[1]
+    both = solve_semidefinite(A, jnp.concatenate([B, jnp.eye(A.shape[0], dtype=A.dtype)], axis=1))
+    X, inverse = both[:, :m], both[:, m:]
+    return X, matmul(inverse, dB - matmul(dA, X))
+
+
+@jax.custom_jvp
+def positive_part(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """Return V max(D, 0) V' of a symmetric A = V D V', shape (n, n).
+
+    Derivatives are those of Daleckii & Krein, which equal eigenvalues do not spoil.
+    """
+    values, vectors = jnp.linalg.eigh(A)
+    return (vectors * jnp.maximum(values, 0.0)) @ vectors.T
+
+
+@positive_part.defjvp
+def _positive_part_jvp(primals, tangents):
+    values, V = jnp.linalg.eigh(jax.lax.stop_gradient(primals[0]))
+    part = jnp.maximum(values, 0.0)
+    apart = values[:, None] - values
+    equal = apart == 0
+    slope = jnp.where(values > 0, 1.0, 0.0)[:, None]
+    ratio = jnp.where(equal, slope, (part[:, None] - part) / jnp.where(equal, 1.0, apart))
+    inner = V.T @ tangents[0] @ V
+    return positive_part(primals[0]), V @ (ratio * inner) @ V.T

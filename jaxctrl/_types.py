@@ -126,6 +126,27 @@ class LocalModel(NamedTuple):
         return Stages(self.fx, self.fu, self.lx, self.lu, self.lxx, self.lux, self.luu, self.noise)
 
 
+class Sensing(NamedTuple):
+    """What is sensed at each step of a local model, and how noisy it and the estimate are.
+
+        y = F dx + E du + sum_j (d_j + D^x_j dx + D^u_j du) eta_j         (Li 2006, eq. 5.4-5.13)
+
+    A filter with gains G makes of it the estimate of the next state,
+
+        xhat' = fx xhat + fu du + G (y - F xhat - E du) + sum_m i_m omega_m.
+
+    The eta_j and omega_m are independent with mean 0 and variance 1. `noise` holds d, D^x and D^u,
+    with ny rows where that of a plant has nx, and the i_m are `internal`, the estimator's own noise
+    (Todorov 2005). Every array leads with time; None stands for what vanishes. E cancels in what
+    the filter learns, and so in every cost.
+    """
+
+    F: Float[Array, "T ny nx"]
+    E: Float[Array, "T ny nu"] | None = None
+    noise: Noise | None = None
+    internal: Float[Array, "T ni nx"] | None = None
+
+
 def promote(tree):
     """Promote every floating array of a pytree to the widest dtype among them."""
     arrays = [leaf for leaf in jax.tree.leaves(tree) if eqx.is_inexact_array(leaf)]

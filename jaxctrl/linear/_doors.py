@@ -11,13 +11,7 @@ from .._types import LocalModel, array_leaf
 from . import _box_lqr, _boxqp, _factorised, _riccati
 from ._boxqp import BoxQP
 from ._engine import find_engine
-from ._riccati import Sweep
-
-
-def _symmetric(model: LocalModel) -> LocalModel:
-    """Return the model with symmetric blocks, which costs the same: x'Ax = x'A'x."""
-    lxx, luu, vxx = (0.5 * (A + A.mT) for A in (model.lxx, model.luu, model.vxx))
-    return model._replace(lxx=lxx, luu=luu, vxx=vxx)
+from ._riccati import Sweep, symmetric
 
 
 def _compiled(kernel: Callable) -> Callable:
@@ -25,7 +19,7 @@ def _compiled(kernel: Callable) -> Callable:
 
     @functools.wraps(kernel)
     def call(model, *args, **kwargs):
-        return kernel(_symmetric(model), *args, **kwargs)
+        return kernel(symmetric(model), *args, **kwargs)
 
     return eqx.filter_jit(call)
 
@@ -66,7 +60,7 @@ def lqr(
 
 @eqx.filter_jit
 def _lqr(model: LocalModel, damping, engine: str) -> Sweep:
-    return find_engine(engine).lqr(_symmetric(model), damping)
+    return find_engine(engine).lqr(symmetric(model), damping)
 
 
 @functools.wraps(_box_lqr.box_lqr)

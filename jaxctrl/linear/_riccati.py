@@ -15,6 +15,12 @@ from .._types import LocalModel, Stages
 from ._step import Action, Value, action, pull, value
 
 
+def symmetric(model: LocalModel) -> LocalModel:
+    """Return the model with symmetric blocks, which costs the same: x'Ax = x'A'x."""
+    lxx, luu, vxx = (0.5 * (A + A.mT) for A in (model.lxx, model.luu, model.vxx))
+    return model._replace(lxx=lxx, luu=luu, vxx=vxx)
+
+
 class Law(NamedTuple):
     """A step's law du = k + K dx, and whether it could be chosen as its rule wants."""
 

@@ -68,7 +68,8 @@ def action(ahead: Value, stage: Stages) -> Action:
     )
     if stage.noise is None:
         return Q
-    return Action(*(a + b for a, b in zip(Q, _disturbed(stage, ahead.vxx), strict=True)))
+    added = disturbed(stage.noise, ahead.vxx, stage.fu.shape)
+    return Action(*(a + b for a, b in zip(Q, added, strict=True)))
 
 
 def pull(stage: Stages, vx: Float[Array, " nx *m"]) -> tuple[Array, Array]:
@@ -101,7 +102,7 @@ def value(
     return Value(v, vx, symmetrise(vxx))
 
 
-def _columns(noise: Noise, nx: int, nu: int) -> tuple[Array, Array, Array]:
+def columns(noise: Noise, nx: int, nu: int) -> tuple[Array, Array, Array]:
     """Return c (nw, nx), cx (nw, nx, nx) and cu (nw, nx, nu) of one step, zero where None."""
     c, cx, cu = noise
     cx = jnp.zeros((*c.shape, nx), c.dtype) if cx is None else cx
@@ -113,15 +114,17 @@ def disturbance(noise: Noise, K: Array) -> tuple[Array, Array | None]:
     state, cx_i + cu_i K (nw, nx, nx); None where they have none."""
     if noise.cx is None and noise.cu is None:
         return noise.c, None
-    c, cx, cu = _columns(noise, K.shape[1], K.shape[0])
+    c, cx, cu = columns(noise, K.shape[1], K.shape[0])
     return c, cx + cu @ K
 
 
-def _disturbed(stage: Stages, vxx: Array) -> Action:
-    """Return what the noise adds to Q: all its second moments, weighed by V_xx."""
-    assert stage.noise is not None
-    nx, nu = stage.fu.shape
-    c, cx, cu = _columns(stage.noise, nx, nu)
+def disturbed(noise: Noise, vxx: Float[Array, "nx nx"], shape: tuple[int, ...]) -> Action:
+    """Return what the noise of one step adds to Q: all its second moments, weighed by V_xx.
+
+    Arguments: the step's columns, V_xx (nx, nx), and the numbers of states and controls, (nx, nu).
+    """
+    nx, nu = shape
+    c, cx, cu = columns(noise, nx, nu)
     Vc, Vx, Vu = c @ vxx, vxx @ cx, vxx @ cu
     return Action(
         0.5 * jnp.sum(c * Vc),

@@ -16,6 +16,10 @@ from ._doors import (
 )
 from ._factorised import FreeLQR as FreeLQR
 from ._moments import AffineLaw as AffineLaw, Moments as Moments
+from ._multiplicative_lqg import (
+    MultiplicativeLQG as MultiplicativeLQG,
+    multiplicative_lqg as multiplicative_lqg,
+)
 from ._observed_doors import (
     evaluate_observed as evaluate_observed,
     filter_gains as filter_gains,

@@ -15,7 +15,7 @@ KEY = jax.random.key(3)
 def task():
     arm = jc.plants.TorqueArm()
     x0 = arm.at_rest(shoulder=0.785, elbow=1.571)
-    target = np.asarray(arm.hand(x0)) + [-0.08, 0.08]
+    target = np.asarray(arm.hand(x0)) + np.array([-0.08, 0.08])
     problem = jc.tasks.reach(arm, target, 0.3, num_steps=20, motor_noise=0.1)
     return problem, x0, jc.solve(problem, jc.ILQG(), x0)
 

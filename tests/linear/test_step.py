@@ -138,7 +138,7 @@ def test_where_no_set_reproduces_itself_under_noise_each_step_is_in_the_box_by_i
     model = noisy(3, "of the controls")  # here sets cycle, and the interior point does not end
     free_law = lqr(model)
     upper = 0.5 * jnp.abs(lqr_rollout(model, free_law.k, free_law.K, jnp.zeros(NX))[1]) + 0.01
-    found, side = box_lqr(model, -upper, upper)
+    found, _ = box_lqr(model, -upper, upper)
     assert found.settled and (np.abs(found.k) <= np.asarray(upper)).all()
     cost = lambda k: evaluate(model, k, found.K).v  # noqa: E731
     slope = jax.grad(cost)(found.k)

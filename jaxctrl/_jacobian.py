@@ -15,6 +15,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.extend as jex
 import jax.numpy as jnp
 import numpy as np
@@ -32,6 +33,7 @@ _ELEMENTWISE = {
 }  # fmt: skip
 _REDUCING = {"reduce_sum", "reduce_max", "reduce_min", "reduce_prod", "reduce_and", "reduce_or"}
 _CONSTANT = {"iota", "stop_gradient"}
+_KEEPING = {"convert_element_type", "copy"}
 _FORWARD = {"while", "custom_linear_solve"}
 """What reverse mode may not go through."""
 NO_REVERSE = (
@@ -223,34 +225,58 @@ def dependence(function: Callable, x, *args) -> np.ndarray:
 
 
 def _pattern(closed: Any, m: int, others: int) -> np.ndarray:
-    out = _follow(closed.jaxpr, [np.eye(m, dtype=bool), *([None] * others)], m)[0]
+    out = _follow(closed, [np.eye(m, dtype=bool), *([None] * others)], m)[0]
     shape = (*closed.out_avals[0].shape, m)
     return np.zeros(shape, bool) if out is None else np.broadcast_to(out, shape)
 
 
 def _follow(
-    jaxpr: Any, inputs: Sequence[np.ndarray | None], m: int, stops: bool = True
+    closed: Any,
+    inputs: Sequence[np.ndarray | None],
+    m: int,
+    stops: bool = True,
+    values: Sequence[np.ndarray | None] = (),
 ) -> list[np.ndarray | None]:
     """Propagate dependences, of shape (*variable, m) or None for none, through a jaxpr.
 
     Without `stops`, a `stop_gradient` stops nothing, as within what has a derivative of its own.
+    `values` are those of inputs that are constants, None for others.
     """
+    jaxpr = getattr(closed, "jaxpr", closed)
     known: dict[Any, np.ndarray | None] = dict(zip(jaxpr.invars, inputs, strict=True))
+    fixed = dict(zip(jaxpr.invars, values, strict=False))
+    fixed |= dict(zip(jaxpr.constvars, map(_value, getattr(closed, "consts", ())), strict=False))
 
     def read(var):
         return None if isinstance(var, jex.core.Literal) else known.get(var)
 
+    def value(var):
+        return _value(var.val) if isinstance(var, jex.core.Literal) else fixed.get(var)
+
     for equation in jaxpr.eqns:
-        given = [read(var) for var in equation.invars]
+        given, constants = ([look(var) for var in equation.invars] for look in (read, value))
         if all(g is None for g in given):
+            if equation.primitive.name in _KEEPING:
+                fixed[equation.outvars[0]] = constants[0]
             continue
-        outs = _through(equation, given, m, stops)
+        outs = _through(equation, given, m, stops, constants)
         known.update(zip(equation.outvars, outs, strict=True))
     return [read(var) for var in jaxpr.outvars]
 
 
+def _value(constant: Any) -> np.ndarray | None:
+    """Return what a constant is, where it is a mask that can be known."""
+    if isinstance(constant, jax.core.Tracer) or np.result_type(constant) != np.bool_:
+        return None
+    return np.asarray(constant)
+
+
 def _through(
-    equation: Any, given: list[np.ndarray | None], m: int, stops: bool
+    equation: Any,
+    given: list[np.ndarray | None],
+    m: int,
+    stops: bool,
+    values: list[np.ndarray | None],
 ) -> list[np.ndarray | None]:
     """Propagate dependences through one operation."""
     name, params = equation.primitive.name, equation.params
@@ -260,6 +286,9 @@ def _through(
         return given
     if name in _CONSTANT:
         return [None] * len(shapes)
+    if name == "select_n" and values[0] is not None and values[0].shape == shapes[0]:
+        cases = [np.zeros((*shapes[0], m), bool) if g is None else g for g in given[1:]]
+        return [np.where(values[0][..., None], cases[1], cases[0])]
     if name in _ELEMENTWISE:
         parts = [np.broadcast_to(g, (*shapes[0], m)) for g in given if g is not None]
         return [np.any(parts, axis=0)]
@@ -274,7 +303,7 @@ def _through(
         if len(jaxpr.invars) == len(given):
             # The derivative that a function states itself is not that of what it computes.
             own = name.startswith("custom_")
-            outs = _follow(jaxpr, given, m, stops and not own)
+            outs = _follow(inner[0], given, m, stops and not own, values)
             if not own or all(out is not None for out in outs):
                 return outs
     anything = np.any([g.reshape(-1, m).any(axis=0) for g in given if g is not None], axis=0)
@@ -314,6 +343,7 @@ _MOVING = {
     "rev": lambda params, a: [np.flip(a, params["dimensions"])],
     "slice": _slice,
     "split": lambda params, a: np.split(a, np.cumsum(params["sizes"])[:-1], params["axis"]),
+    "stack": lambda params, *parts: [np.stack(parts, params["axis"])],
     "squeeze": lambda params, a: [a.squeeze(params["dimensions"])],
     "transpose": lambda params, a: [a.transpose(params["permutation"])],
 }

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 from ._jacobian import dependence, gradient, jacobian, value_and_gradient
 from ._noise import diffusion
 from ._problem import Problem
-from ._types import LocalModel, Noise
+from ._types import LocalModel, Noise, Rows
 from .linear._riccati import costates
 
 
@@ -91,13 +91,26 @@ def _noise_terms(problem: Problem, zs, ts) -> Noise | None:
 
     c = jax.vmap(columns)(zs, ts)
     slopes = jax.vmap(jacobian(columns))(zs, ts)
-    counts = np.any(dependence(columns, zs[0], ts[0]), axis=0)
     c, slopes = c.reshape(len(zs), -1, nx), slopes.reshape(len(zs), -1, nx, zs.shape[1])
-    return Noise(
-        c,
-        slopes[..., :nx] if counts[:nx].any() else None,
-        slopes[..., nx:] if counts[nx:].any() else None,
-    )
+    pattern = dependence(columns, zs[0], ts[0]).reshape(-1, nx, zs.shape[1])
+    rows = _rows(np.asarray(pattern.any(axis=2)))
+    if rows is not None:
+        slopes = slopes[:, np.arange(len(rows.of))[:, None], rows.index]
+    cx = slopes[..., :nx] if pattern[..., :nx].any() else None
+    cu = slopes[..., nx:] if pattern[..., nx:].any() else None
+    return Noise(c, cx, cu, None if cx is None and cu is None else rows)
+
+
+def _rows(sloping: np.ndarray) -> Rows | None:
+    """Return the rows of each column that may have a slope, of (nw, nx) flags; None for all.
+
+    Of columns with fewer than others some rows without any are named too.
+    """
+    most = int(sloping.sum(axis=1).max(initial=0))
+    if most in (0, sloping.shape[1]):
+        return None
+    order = np.argsort(~sloping, axis=1, kind="stable")[:, :most]
+    return Rows(tuple(tuple(int(row) for row in rows) for rows in order))
 
 
 def _curvature(problem: Problem, zs, ts, p, rho):

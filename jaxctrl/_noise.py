@@ -5,12 +5,12 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import known
 from ._function import as_params, check_function
+from ._jacobian import dependence, jacobian
 from ._plant import AbstractPlant
 from ._types import leaf
 
@@ -74,8 +74,15 @@ def _each(intensity: Array, u: Float[Array, " nu"], further: str = "") -> Float[
     return jnp.broadcast_to(intensity, u.shape)
 
 
-def _control_jacobian(plant, x, u, t):
-    return jax.jacfwd(lambda u: plant(x, u, t))(u)
+def _through_controls(plant, x, u, t, size: Float[Array, " nu"]) -> Float[Array, "nx nu"]:
+    """Return df/du diag(size), with zeros that can be seen where a state knows no control."""
+
+    def motion(u, x, t):
+        return plant(x, u, t)
+
+    slope = jacobian(motion)(u, x, jnp.asarray(t))
+    touched = dependence(motion, u, x, jnp.asarray(t))
+    return jnp.where(touched, slope * size, 0.0)
 
 
 class SignalDependentNoise(AbstractNoise):
@@ -107,7 +114,7 @@ class SignalDependentNoise(AbstractNoise):
 
     def __call__(self, plant, x, u, t):
         """Return df/du diag(sigma u), shape (nx, nu)."""
-        return _control_jacobian(plant, x, u, t) * (_each(self.intensity, u) * u)
+        return _through_controls(plant, x, u, t, _each(self.intensity, u) * u)
 
 
 class AdditiveNoise(AbstractNoise):
@@ -132,7 +139,7 @@ class AdditiveNoise(AbstractNoise):
         """Return F, shape (nx, nu) or (nx, nw)."""
         if self.intensity.ndim < 2:
             further = f", or ({plant.nx}, nw)"
-            return _control_jacobian(plant, x, u, t) * _each(self.intensity, u, further)
+            return _through_controls(plant, x, u, t, _each(self.intensity, u, further))
         if self.intensity.ndim > 2 or self.intensity.shape[0] != plant.nx:
             raise ValueError(
                 f"intensity: shape {self.intensity.shape}, wanted (), {u.shape} or ({plant.nx}, nw)"

@@ -1,11 +1,13 @@
 """Types that every floor shares: array leaves, bounds, and the local linear-quadratic model."""
 
+import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 Bounds = tuple[Array, Array]
@@ -73,20 +75,43 @@ def clip(u: Array, bounds: Bounds | None) -> Array:
     return jnp.clip(u, bounds[0], bounds[1])
 
 
+@jax.tree_util.register_static
+@dataclasses.dataclass(frozen=True)
+class Rows:
+    """Which rows of each column may have a slope: `of[i]` lists those of column i, r for each."""
+
+    of: tuple[tuple[int, ...], ...]
+
+    @property
+    def index(self) -> np.ndarray:
+        """The rows as an array, (nw, r)."""
+        return np.array(self.of)
+
+    def onehot(self, nx: int, dtype: Any) -> np.ndarray:
+        """Return the matrices S_i with S_i x = x[of[i]], shape (nw, r, nx)."""
+        return np.equal(self.index[:, :, None], np.arange(nx)).astype(dtype)
+
+
 class Noise(NamedTuple):
     """What disturbs each step of a local model: sum_i (c_i + cx_i dx + cu_i du) xi_i.
 
     The xi_i are independent with mean 0 and variance 1; c_i holds the square root of the time step.
-    `cx` and `cu` are None where they vanish, as for additive noise.
+    `cx` and `cu` are None where they vanish, as for additive noise. With `rows` they have only the
+    r rows of each column that are named there (a muscle's noise has a slope in its own activation
+    alone), where otherwise r = nx.
     """
 
     c: Float[Array, "T nw nx"]
-    cx: Float[Array, "T nw nx nx"] | None = None
-    cu: Float[Array, "T nw nx nu"] | None = None
+    cx: Float[Array, "T nw r nx"] | None = None
+    cu: Float[Array, "T nw r nu"] | None = None
+    rows: Rows | None = None
 
 
 class Stages(NamedTuple):
-    """The steps of a `LocalModel`, each array leading with time: what a sweep scans over."""
+    """The steps of a `LocalModel`, each array leading with time: what a sweep scans over.
+
+    Their noise is the model's, or what a sweep makes of it; None for none.
+    """
 
     fx: Float[Array, "T nx nx"]
     fu: Float[Array, "T nx nu"]
@@ -95,7 +120,7 @@ class Stages(NamedTuple):
     lxx: Float[Array, "T nx nx"]
     lux: Float[Array, "T nu nx"]
     luu: Float[Array, "T nu nu"]
-    noise: Noise | None
+    noise: Any
 
 
 class LocalModel(NamedTuple):

@@ -90,6 +90,24 @@ def test_jacobian_is_right_whatever_the_operations(name, function):
     assert not (np.asarray(wanted) != 0)[~pattern].any()
 
 
+def test_a_stack_keeps_its_parts_apart_and_a_known_mask_its_zeros():
+    mask = np.array([[True, False], [False, True], [False, False]])
+
+    def function(x):
+        return jnp.where(mask, jnp.outer(jnp.ones(3), x) * x[0], 0.0).reshape(-1)
+
+    def stacked(x):
+        return jnp.stack([x[1] ** 2, x[0]])
+
+    x = jnp.array([0.3, 2.0])
+    assert dependence(stacked, x).tolist() == [[False, True], [True, False]]
+    pattern = dependence(function, x)
+    assert pattern[0].tolist() == [True, False] and pattern[3].all()
+    assert not pattern[[1, 2, 4, 5]].any()
+    for f in (function, stacked):
+        np.testing.assert_allclose(jacobian(f)(x), jax.jacfwd(f)(x), rtol=1e-12)
+
+
 def test_a_rule_of_its_own_is_followed_through_what_the_function_stops():
     """A root by a fixed number of Newton steps, whose derivative is implicit."""
 

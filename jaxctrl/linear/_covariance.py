@@ -5,8 +5,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._linalg import matmul, symmetrise
-from .._types import LocalModel
-from ._step import disturbance
+from .._types import LocalModel, Noise
+from ._step import pack
 
 
 def covariances(
@@ -31,12 +31,25 @@ def covariances(
         F = stage.fx + matmul(stage.fu, K)
         after = matmul(matmul(F, X), F.T)
         if stage.noise is not None:
-            c, C = disturbance(stage.noise, K)
-            after = after + c.T @ c
-            if C is not None:
-                after = after + jnp.einsum("ixj,jk,iyk->xy", C, X, C)
+            after = after + matmul(stage.noise.c.T, stage.noise.c)
+            if stage.noise.cx is not None or stage.noise.cu is not None:
+                after = after + _spread(stage.noise, K, X)
         after = symmetrise(after)
         return after, (after, symmetrise(matmul(matmul(K, X), K.T)))
 
     _, (xs, us) = jax.lax.scan(forth, x0_cov, (model.stages, K))
     return jnp.concatenate([x0_cov[None], xs]), us
+
+
+def _spread(noise: Noise, K: Float[Array, "nu nx"], X: Float[Array, "nx nx"]) -> Array:
+    """Return sum_i C_i X C_i' (nx, nx) of the slopes C_i of a noise under gains K."""
+    nx, nu = K.shape[1], K.shape[0]
+    slopes = pack(noise, (nx, nu)).slopes
+    assert slopes is not None
+    C = slopes[..., :nx] + slopes[..., nx:] @ K
+    moments = C @ X @ C.mT
+    if noise.rows is None:
+        return jnp.sum(moments, axis=0)
+    S = noise.rows.onehot(nx, X.dtype)
+    both = jnp.sum(moments[..., None] * S[:, None], axis=2)
+    return jnp.asarray(S).reshape(-1, nx).T @ both.reshape(-1, nx)

@@ -89,6 +89,7 @@ def _check_noise(name: str, noise: Noise | None, T: int, rows: int, sizes: tuple
     if not isinstance(noise, Noise):
         raise TypeError(f"{name}: a jc.linear.Noise is wanted, got {type(noise).__name__}")
     columns = checked(f"{name}.c", noise.c, (T, None, rows)).shape[1]
-    for part, value, size in zip(("cx", "cu"), noise[1:], sizes, strict=True):
-        if value is not None:
-            checked(f"{name}.{part}", value, (T, columns, rows, size))
+    sloping = rows if noise.rows is None else noise.rows.index.shape[1]
+    for part, size in zip(("cx", "cu"), sizes, strict=True):
+        if (value := getattr(noise, part)) is not None:
+            checked(f"{name}.{part}", value, (T, columns, sloping, size))

@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 
 from .._linalg import symmetrise
 from .._types import Noise, Sensing, Stages
-from ._step import Action, disturbed
+from ._step import Action, columns, disturbed, pack
 
 
 class ObservedValue(NamedTuple):
@@ -97,20 +97,20 @@ def _noise(ahead: ObservedValue, stage: Stages, sense: Sensing, gain: Array) -> 
     zero = (jnp.zeros(s, gain.dtype) for s in ((), (nx,), (nu,), (nx, nx), (nu, nx), (nu, nu)))
     total, parts = Action(*zero), []
     if stage.noise is not None:
-        parts.append(disturbed(stage.noise, ahead.vxx, shape))
+        parts.append(disturbed(pack(stage.noise, shape), ahead.vxx, shape))
     if sense.noise is not None:
-        parts.append(disturbed(_through(gain, sense.noise), ahead.vhh, shape))
+        parts.append(disturbed(pack(_through(gain, sense.noise, shape), shape), ahead.vhh, shape))
     if sense.internal is not None:
-        parts.append(disturbed(Noise(sense.internal), ahead.vhh, shape))
+        parts.append(disturbed(pack(Noise(sense.internal), shape), ahead.vhh, shape))
     for part in parts:
         total = Action(*(a + b for a, b in zip(total, part, strict=True)))
     return total
 
 
-def _through(gain: Array, noise: Noise) -> Noise:
+def _through(gain: Array, noise: Noise, shape: tuple[int, ...]) -> Noise:
     """Return the columns that the sensor's noise has in the estimate, the gain times its own."""
-    c, cx, cu = noise
-    return Noise(c @ gain.T, *(None if a is None else gain @ a for a in (cx, cu)))
+    c, cx, cu = columns(noise, *shape)
+    return Noise(c @ gain.T, gain @ cx, gain @ cu)
 
 
 def observed_value(

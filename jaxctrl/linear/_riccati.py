@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from .._linalg import matmul, solve_positive
 from .._types import LocalModel, Stages
-from ._step import Action, Value, action, pull, value
+from ._step import Action, Value, action, pack, pull, value
 
 
 def symmetric(model: LocalModel) -> LocalModel:
@@ -152,21 +152,23 @@ def sweep(model: LocalModel, rule: Rule, keep: Callable[[Step], Any]) -> tuple[V
         ahead, aside = carry
         plain, rule = inputs
         stage = rule.price(plain)
-        Q = action(ahead, stage)
+        Q, added = action(ahead, stage)
         law = rule.choose(Q)
-        before = value(ahead, stage, Q, law.k, law.K, best=rule.best)
+        before = value(ahead, stage, Q, added, law.k, law.K, best=rule.best)
         # Columns: the costate, and the slope in the state under the gains alone.
         x, u = pull(plain, aside)
-        if stage.noise is not None:
-            without = pull(stage, ahead.vx)
-            x, u = x + (Q.x - without[0])[:, None], u + (Q.u - without[1])[:, None]
+        if added is not None:
+            x, u = x + added.x[:, None], u + added.u[:, None]
         steady_x, steady_u = x[:, 1], u[:, 1]
         aside = jnp.stack([x[:, 0], steady_x + matmul(law.K.T, steady_u)], axis=1)
         return (before, aside), keep(Step(ahead, before, Q, law, u[:, 0], steady_u))
 
     end = Value(jnp.zeros((), model.vx.dtype), model.vx, model.vxx)
     start = (end, jnp.stack([model.vx] * 2, axis=1))
-    (first, _), kept = jax.lax.scan(body, start, (model.stages, rule), reverse=True)
+    stages = model.stages
+    if model.noise is not None:
+        stages = stages._replace(noise=pack(model.noise, model.fu.shape[1:]))
+    (first, _), kept = jax.lax.scan(body, start, (stages, rule), reverse=True)
     return first, kept
 
 

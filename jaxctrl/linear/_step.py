@@ -29,7 +29,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._linalg import matmul, symmetrise
-from .._types import Noise, Stages
+from .._types import Noise, Rows, Stages
 
 
 class Value(NamedTuple):
@@ -51,10 +51,10 @@ class Action(NamedTuple):
     uu: Float[Array, "nu nu"]
 
 
-def action(ahead: Value, stage: Stages) -> Action:
-    """Return Q of one step (the module's equations), for the value after it.
+def action(ahead: Value, stage: Stages) -> tuple[Action, Action | None]:
+    """Return Q of one step (the module's equations), for the value after it, and the noise's part.
 
-    Arguments: the value ahead, and the step's slice of the model's stages.
+    Arguments: the value ahead, and the step's slice of the model's stages, its noise packed.
     """
     x, u = pull(stage, ahead.vx)
     VA, VB = matmul(ahead.vxx, stage.fx), matmul(ahead.vxx, stage.fu)
@@ -67,9 +67,9 @@ def action(ahead: Value, stage: Stages) -> Action:
         stage.luu + matmul(stage.fu.T, VB),
     )
     if stage.noise is None:
-        return Q
+        return Q, None
     added = disturbed(stage.noise, ahead.vxx, stage.fu.shape)
-    return Action(*(a + b for a, b in zip(Q, added, strict=True)))
+    return Action(*(a + b for a, b in zip(Q, added, strict=True))), added
 
 
 def pull(stage: Stages, vx: Float[Array, " nx *m"]) -> tuple[Array, Array]:
@@ -79,12 +79,19 @@ def pull(stage: Stages, vx: Float[Array, " nx *m"]) -> tuple[Array, Array]:
 
 
 def value(
-    ahead: Value, stage: Stages, Q: Action, k: Array, K: Array, *, best: bool = False
+    ahead: Value,
+    stage: Stages,
+    Q: Action,
+    added: Action | None,
+    k: Array,
+    K: Array,
+    *,
+    best: bool = False,
 ) -> Value:
     """Return the value before a step under the law du = k + K dx (the module's equations).
 
     Arguments:
-        ahead, stage, Q: the value ahead, the step's stage and its `action`.
+        ahead, stage, Q, added: the value ahead, the step's stage and its `action`.
         k, K: any law, (nu,) and (nu, nx).
         best: whether the law minimises Q in what it moves.
     """
@@ -96,41 +103,73 @@ def value(
     F = stage.fx + matmul(stage.fu, K)
     across = matmul(K.T, stage.lux + 0.5 * matmul(stage.luu, K))
     vxx = stage.lxx + 2 * across + matmul(F.T, matmul(ahead.vxx, F))
-    C = None if stage.noise is None else disturbance(stage.noise, K)[1]
-    if C is not None:
-        vxx = vxx + jnp.einsum("ixj,xy,iyk->jk", C, ahead.vxx, C)
+    if added is not None:
+        vxx = vxx + added.xx + 2 * matmul(K.T, added.ux + 0.5 * matmul(added.uu, K))
     return Value(v, vx, symmetrise(vxx))
 
 
 def columns(noise: Noise, nx: int, nu: int) -> tuple[Array, Array, Array]:
     """Return c (nw, nx), cx (nw, nx, nx) and cu (nw, nx, nu) of one step, zero where None."""
-    c, cx, cu = noise
+    c, cx, cu, rows = noise
+    if rows is not None:
+        S = rows.onehot(nx, c.dtype)
+        cx, cu = (None if a is None else jnp.matmul(S.mT, a) for a in (cx, cu))
     cx = jnp.zeros((*c.shape, nx), c.dtype) if cx is None else cx
     return c, cx, jnp.zeros((*c.shape, nu), c.dtype) if cu is None else cu
 
 
-def disturbance(noise: Noise, K: Array) -> tuple[Array, Array | None]:
-    """Return the noise's columns c_i (nw, nx) and, under gains K (nu, nx), their slopes in the
-    state, cx_i + cu_i K (nw, nx, nx); None where they have none."""
-    if noise.cx is None and noise.cu is None:
-        return noise.c, None
-    c, cx, cu = columns(noise, K.shape[1], K.shape[0])
-    return c, cx + cu @ K
+class Packed(NamedTuple):
+    """A noise as a sweep weighs it; of one step, or of all, leading with time.
+
+    Attributes:
+        square: sum_i c_i c_i' / 2, (nx, nx).
+        c: the columns, (nw, nx); None where none has a slope.
+        slopes: those of each column in z = (x, u), in r of its rows, (nw, r, nx + nu); or None.
+        rows: which rows these are; None for all.
+    """
+
+    square: Float[Array, "*T nx nx"]
+    c: Float[Array, "*T nw nx"] | None
+    slopes: Float[Array, "*T nw r nz"] | None
+    rows: Rows | None
 
 
-def disturbed(noise: Noise, vxx: Float[Array, "nx nx"], shape: tuple[int, ...]) -> Action:
+def pack(noise: Noise, shape: tuple[int, ...]) -> Packed:
+    """Return a noise of one step, or of all, for `disturbed`.
+
+    Arguments: the noise, and the numbers of states and controls, (nx, nu).
+    """
+    c, cx, cu, rows = noise
+    square = 0.5 * jnp.sum(c[..., :, None] * c[..., None, :], axis=-3)
+    if cx is None and cu is None:
+        return Packed(square, None, None, None)
+    lead = (cx if cu is None else cu).shape[:-1]  # pyright: ignore[reportOptionalMemberAccess]
+    both = [
+        jnp.zeros((*lead, n), c.dtype) if own is None else own
+        for own, n in zip((cx, cu), shape, strict=True)
+    ]
+    return Packed(square, c, jnp.concatenate(both, axis=-1), rows)
+
+
+def disturbed(noise: Packed, vxx: Float[Array, "nx nx"], shape: tuple[int, ...]) -> Action:
     """Return what the noise of one step adds to Q: all its second moments, weighed by V_xx.
 
-    Arguments: the step's columns, V_xx (nx, nx), and the numbers of states and controls, (nx, nu).
+    Arguments: the step's packed noise, V_xx (nx, nx), and the numbers of states and controls.
     """
     nx, nu = shape
-    c, cx, cu = columns(noise, nx, nu)
-    Vc, Vx, Vu = c @ vxx, vxx @ cx, vxx @ cu
-    return Action(
-        0.5 * jnp.sum(c * Vc),
-        jnp.einsum("ixj,ix->j", cx, Vc),
-        jnp.einsum("ixj,ix->j", cu, Vc),
-        jnp.einsum("ixj,ixk->jk", cx, Vx),
-        jnp.einsum("ixj,ixk->jk", cu, Vx),
-        jnp.einsum("ixj,ixk->jk", cu, Vu),
-    )
+    q, J = jnp.sum(noise.square * vxx), noise.slopes
+    if J is None or noise.c is None:
+        sizes = ((nx,), (nu,), (nx, nx), (nu, nx), (nu, nu))
+        return Action(q, *(jnp.zeros(size, vxx.dtype) for size in sizes))
+    if noise.rows is None:
+        V, Vc = vxx, matmul(noise.c, vxx)
+    else:
+        # Products with ones and zeros: XLA would make loops of gathers.
+        S = noise.rows.onehot(nx, vxx.dtype)
+        rows = jnp.sum(S[..., None] * vxx, axis=2)
+        V = jnp.sum(rows[:, :, None, :] * S[:, None], axis=3)
+        Vc = jnp.sum(rows * noise.c[:, None], axis=2)
+    VJ = jnp.sum(V[..., None] * J[:, None], axis=2)
+    zz = matmul(J.reshape(-1, J.shape[2]).T, VJ.reshape(-1, J.shape[2]))
+    z = jnp.sum(J * Vc[..., None], axis=(0, 1))
+    return Action(q, z[:nx], z[nx:], zz[:nx, :nx], zz[nx:, :nx], zz[nx:, nx:])

@@ -46,7 +46,7 @@ def expected_cost(model, k, K, dx0):
         step = np.vstack([np.eye(1 + NX)[:1], fx @ X + fu @ U])
         after = step @ Z @ step.T
         if model.noise is not None:
-            c, cx, cu = model.noise
+            c, cx, cu, _ = model.noise
             for i in range(c.shape[1]):
                 column = np.zeros((NX, 1 + NX))
                 column[:, 0] = c[t, i]

@@ -1,5 +1,6 @@
 """Compare the derivatives of a solve with differences of solves."""
 
+import dataclasses
 import zlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -33,15 +34,19 @@ ASIDE = 1e-2
 """By how much the disturbed run starts aside, relative to one more than each state's range."""
 TRIFLE = 1e-6
 """The relative error below which no kink is looked for."""
-OUTPUTS = ("cost", "xs[-1]", "us", "gains", "closed loop")
+OUTPUTS = ("cost", "xs[-1]", "us", "gains", "closed loop", "covariance")
+"""Of a solver without a prediction, the first five."""
+STOCHASTIC = {"gradient_tolerance": 1e-11, "cost_tolerance": 1e-14, "step_tolerance": 1e-10}
+"""Tolerances of a stochastic solver's tight solves, which end at its own point of rest."""
 
 
 class GradientRow(NamedTuple):
     """One line of a report: a derivative of one output along one direction of one input.
 
     Attributes:
-        name: of the input, such as `plant.skeleton.m2`. output: "cost", "xs[-1]", "us", "gains", or
-            "closed loop", the states of the policy's run from a start that is pushed aside.
+        name: of the input, such as `plant.skeleton.m2`. output: "cost", "xs[-1]", "us", "gains",
+            "closed loop", the states of the policy's run from a start that is pushed aside, or
+            "covariance", that predicted of the last state.
         derivative, difference: norms of the derivative along the input's direction, and of the
             difference quotient. The direction is random, with entries of 0.5 to 1 times the
             input's largest one (0.001 where all are zero), and the same in every report.
@@ -116,11 +121,13 @@ def check_gradients(
     size and the same in every call. The derivatives along v of cost, last state, controls, gains
     and of a disturbed run under the policy are compared with central differences, extrapolated
     (Richardson) from two steps, of solves by `DDP` to round-off, each started at the optimum
-    itself; gains are the solver's own there. Of several steps the one is taken whose quotients
-    agree best: long ones change which bounds hold. Where a control just meets its bound, with a
-    gradient of zero, the optimum has two one-sided derivatives: when the difference quotients of
-    the two sides tell them apart, the nearer one is compared. (A muscle at rest at the end of a
-    movement, where its excitation no longer changes the cost, is such a control.)
+    itself; gains are the solver's own there. Of a solver that plans with noise the solves are its
+    own, and the predicted covariance of the last state is compared, too. Of several steps the one
+    is taken whose quotients agree best: long ones change which bounds hold. Where a control just
+    meets its bound, with a gradient of zero, the optimum has two one-sided derivatives: when the
+    difference quotients of the two sides tell them apart, the nearer one is compared. (A muscle at
+    rest at the end of a movement, where its excitation no longer changes the cost, is such a
+    control.)
 
     Meant for a look at a new problem, in float64: it solves some twenty times per input.
 
@@ -187,6 +194,7 @@ class _Solves(eqx.Module):
             solution.xs[-1],
             solution.us,
             *self._policy(whole, solution),
+            *([] if solution.prediction is None else [solution.prediction.x_cov[-1]]),
         ), solution
 
     def _policy(self, whole, solution) -> tuple[Array, Array]:
@@ -210,6 +218,9 @@ class _Solves(eqx.Module):
     def moved(self, inputs, tangents, h):
         """Return the outputs after a step h along the tangents, and how well they were found."""
         there = jax.tree.map(lambda leaf, tangent: leaf + h * tangent, inputs, tangents)
+        if self.solver.stochastic:
+            tight = dataclasses.replace(self.solver, **STOCHASTIC)
+            return self._outputs(there, tight, self.optimum)
         # Tolerances that are never met: it goes on until the gradient falls no more.
         tight = DDP(gradient_tolerance=0.0)
         values, solution = self._outputs(there, tight, self.optimum)
@@ -225,7 +236,7 @@ def _compare(name: str, found: _Solves, inputs, tangents, rng) -> list[GradientR
     derivatives = [np.asarray(derivative) for derivative in found.forward(inputs, tangents)]
     differences = _Differences(found, inputs, tangents)
     rows = []
-    for j, (output, derivative) in enumerate(zip(OUTPUTS, derivatives, strict=True)):
+    for j, (output, derivative) in enumerate(zip(OUTPUTS, derivatives, strict=False)):
         side, difference, uncertainty, step = differences.nearest(derivative, j)
         size = max(np.linalg.norm(derivative), np.linalg.norm(difference), differences.trifle(j))
         size = size if size > 0 else 1.0

@@ -3,12 +3,9 @@
 import re
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.mark.filterwarnings("ignore:ILQR minimises the nominal cost")
 def test_programs_of_the_readme_run(tmp_path, monkeypatch, capsys):
     text = (ROOT / "README.md").read_text()
     programs = re.findall(r"```python\n(.*?)```", text, re.DOTALL)

@@ -141,7 +141,11 @@ class Wheel(jc.AbstractPlant):
         return jnp.stack([x[1], -self.gravity * jnp.sin(x[0]) + jnp.cos(x[0]) * u[0] + 0.5 * u[1]])
 
 
-@pytest.fixture(scope="module", params=[None, (-0.9, 0.9)], ids=["free", "bounded"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(None, marks=pytest.mark.slow), (-0.9, 0.9)],
+    ids=["free", "bounded"],
+)
 def wheel(request):
     cost = jc.QuadraticCost(R=0.05, Qf=jnp.array([20.0, 2.0]), target=jnp.array([1.0, 0.0]))
     return jc.Problem(
@@ -232,3 +236,11 @@ def test_float32_ends_where_float64_does(float32):
     cost, gains = multiplicative(SIGMA, STATE, 0.03 * np.eye(3), X0_COV)
     np.testing.assert_allclose(solution.expected_cost, cost, rtol=1e-5)
     np.testing.assert_allclose(solution.policy.K, gains, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_check_gradients_covers_what_the_noise_does():
+    problem = linear(jc.SignalDependentNoise(SIGMA), X0_COV)
+    report = jc.check_gradients(problem, jc.ILQG(), X0, where=lambda name: "intensity" in name)
+    assert {row.output for row in report.rows} >= {"cost", "gains", "covariance"}
+    assert report.worst < 1e-7, report

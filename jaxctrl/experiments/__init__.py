@@ -56,6 +56,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.table_4_1",
         "Time and iterations of ILQR, DDP, gradient methods and collocation on three problems",
     ),
+    "fig-5.1": (
+        "jaxctrl.experiments.fig_5_1",
+        "Reaches of the torque arm in 8 directions by ILQG, with the ellipses that it predicts",
+    ),
     "centre-out": (
         "jaxctrl.experiments.centre_out",
         "10 cm reaches in 8 directions with both arms",

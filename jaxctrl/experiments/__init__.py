@@ -60,6 +60,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.fig_5_1",
         "Reaches of the torque arm in 8 directions by ILQG, with the ellipses that it predicts",
     ),
+    "fig-5.7": (
+        "jaxctrl.experiments.fig_5_7",
+        "Reaches of the muscle arm in 16 directions by ILQG: how each muscle is tuned",
+    ),
     "centre-out": (
         "jaxctrl.experiments.centre_out",
         "10 cm reaches in 8 directions with both arms",

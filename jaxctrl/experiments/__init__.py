@@ -64,6 +64,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.fig_5_7",
         "Reaches of the muscle arm in 16 directions by ILQG: how each muscle is tuned",
     ),
+    "fig-5.8": (
+        "jaxctrl.experiments.fig_5_8",
+        "Noisy reaches of the muscle arm without feedback, with ILQG's, and with ILQR's",
+    ),
     "centre-out": (
         "jaxctrl.experiments.centre_out",
         "10 cm reaches in 8 directions with both arms",

@@ -35,6 +35,9 @@ FAILING = {
         "The torque arm's converged paths stay within the figure's axes, with a stopping term",
         "The torque arm's converged paths stay within the figure's axes, (4.20) as printed",
     },
+    "fig-5.8": {
+        "ILQR, made without noise (C) costs more than ILQG (B), in each direction",
+    },
     "table-4.1": {
         "Hessians by differences cost as much as DDP's iterations in the thesis: pendulum",
         "ILQR needs Levenberg-Marquardt damping for stable iterations",

@@ -64,6 +64,12 @@ def run(config: Config) -> Result:
         return jc.evaluate(problem, policy, x0, key=key, trials=config.trials)
 
     outcome = jax.vmap(evaluate)(problems, found.policy, keys)
+    failure = "" if bool(found.status.ok.all()) else found.status.message
+    return Result(_dataset(config, arm, x0, found, outcome), config, failure)
+
+
+def _dataset(config: Config, arm, x0, found: jc.Solution, outcome: jc.Evaluation) -> xarray.Dataset:
+    """Label what was planned and what came out of the noisy trials."""
     along, planar = ("direction", "time"), ("direction", "axis", "other")
     velocity = jax.vmap(jax.vmap(arm.hand_velocity))(found.xs)
     prediction = found.prediction
@@ -108,8 +114,7 @@ def run(config: Config) -> Result:
     }
     coords = shared.coordinates(config.directions, config.duration, config.num_steps)
     coords["joint"] = ("joint", ["shoulder", "elbow"], {"long_name": "joint"})
-    failure = "" if bool(found.status.ok.all()) else found.status.message
-    return Result(xarray.Dataset(data, coords=coords), config, failure)
+    return xarray.Dataset(data, coords=coords)
 
 
 def figure(result: Result) -> Figure:

@@ -6,9 +6,10 @@ ILQG, C the feedback that ILQR finds when it knows of no noise. Trial i of a dir
 same noise in all three (common random numbers), so that the intervals are those of differences
 trial by trial. They are pointwise, mean +- 1.96 standard errors; costs have long tails to the
 right. Covariances of the end points are reported and not judged: ILQG minimises the expected
-cost, which is no variance. Beside them is what ILQG expects of B by its local model; the trials
-cost and scatter more, for the model is of first order in the noise's variance, and knows of no
-clipping at the bounds of the excitations. Number of directions, start and weights are ours.
+cost, which is no variance. Beside them is what ILQG expects of B by its local model. The trials
+cost and scatter more, the end points 1.5 to 6.4 times as much, because feedback cannot take an
+excitation below zero: let it, and their SD is 0.96 to 1.11 of the expected one (1000 trials).
+Number of directions, start and weights are ours.
 """
 
 from dataclasses import dataclass

@@ -266,7 +266,8 @@ def _follow(
 
 def _value(constant: Any) -> np.ndarray | None:
     """Return what a constant is, where it is a mask that can be known."""
-    if isinstance(constant, jax.core.Tracer) or np.result_type(constant) != np.bool_:
+    mask = getattr(constant, "dtype", None) == np.bool_
+    if isinstance(constant, jax.core.Tracer) or not mask:
         return None
     return np.asarray(constant)
 

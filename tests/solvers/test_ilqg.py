@@ -236,6 +236,18 @@ def test_float32_ends_where_float64_does(float32):
     cost, gains = multiplicative(SIGMA, STATE, 0.03 * np.eye(3), X0_COV)
     np.testing.assert_allclose(solution.expected_cost, cost, rtol=1e-5)
     np.testing.assert_allclose(solution.policy.K, gains, rtol=1e-3, atol=1e-3)
+    slope = jax.grad(
+        lambda sigma: (
+            jc.solve(
+                eqx.tree_at(lambda p: p.noise.parts[0].intensity, problem, sigma), jc.ILQG(), X0
+            ).cost
+        )
+    )(jnp.asarray(SIGMA))
+    up, down = (
+        multiplicative(SIGMA + d, STATE, 0.03 * np.eye(3), X0_COV)[0]
+        for d in (np.array([1e-5, 0]), np.array([-1e-5, 0]))
+    )
+    np.testing.assert_allclose(slope[0], (up - down) / 2e-5, rtol=1e-3)
 
 
 @pytest.mark.slow

@@ -63,10 +63,12 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
     "fig-5.7": (
         "jaxctrl.experiments.fig_5_7",
         "Reaches of the muscle arm in 16 directions by ILQG: how each muscle is tuned",
-    ),
     "fig-5.8": (
         "jaxctrl.experiments.fig_5_8",
         "Noisy reaches of the muscle arm without feedback, with ILQG's, and with ILQR's",
+    "fig-5.5": (
+        "jaxctrl.experiments.fig_5_5",
+        "Ways of the torque arm round an obstacle: its weight, the duration, and motor noise",
     ),
     "centre-out": (
         "jaxctrl.experiments.centre_out",

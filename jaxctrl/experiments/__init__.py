@@ -70,6 +70,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.fig_5_5",
         "Ways of the torque arm round an obstacle: its weight, the duration, and motor noise",
     ),
+    "fig-5.6": (
+        "jaxctrl.experiments.fig_5_6",
+        "Time of ILQR, ILQG, DDP and conjugate gradients on chains of one link to six",
+    ),
     "centre-out": (
         "jaxctrl.experiments.centre_out",
         "10 cm reaches in 8 directions with both arms",
@@ -85,7 +89,13 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
 }
 """Name of each experiment, its module and one line about it."""
 
-ALIASES = {"fig-3.5": "fig-3.4", "fig-3.7": "fig-3.6", "fig-3.9": "fig-3.8", "fig-3.11": "fig-3.10"}
+ALIASES = {
+    "fig-3.5": "fig-3.4",
+    "fig-3.7": "fig-3.6",
+    "fig-3.9": "fig-3.8",
+    "fig-3.11": "fig-3.10",
+    ,
+}
 """Figures that another experiment draws too: the same movements under another model."""
 
 

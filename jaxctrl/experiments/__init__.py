@@ -60,12 +60,6 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.fig_5_1",
         "Reaches of the torque arm in 8 directions by ILQG, with the ellipses that it predicts",
     ),
-    "fig-5.7": (
-        "jaxctrl.experiments.fig_5_7",
-        "Reaches of the muscle arm in 16 directions by ILQG: how each muscle is tuned",
-    "fig-5.8": (
-        "jaxctrl.experiments.fig_5_8",
-        "Noisy reaches of the muscle arm without feedback, with ILQG's, and with ILQR's",
     "fig-5.5": (
         "jaxctrl.experiments.fig_5_5",
         "Ways of the torque arm round an obstacle: its weight, the duration, and motor noise",
@@ -73,6 +67,14 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
     "fig-5.6": (
         "jaxctrl.experiments.fig_5_6",
         "Time of ILQR, ILQG, DDP and conjugate gradients on chains of one link to six",
+    ),
+    "fig-5.7": (
+        "jaxctrl.experiments.fig_5_7",
+        "Reaches of the muscle arm in 16 directions by ILQG: how each muscle is tuned",
+    ),
+    "fig-5.8": (
+        "jaxctrl.experiments.fig_5_8",
+        "Noisy reaches of the muscle arm without feedback, with ILQG's, and with ILQR's",
     ),
     "centre-out": (
         "jaxctrl.experiments.centre_out",

@@ -96,7 +96,6 @@ ALIASES = {
     "fig-3.7": "fig-3.6",
     "fig-3.9": "fig-3.8",
     "fig-3.11": "fig-3.10",
-    "fig-5.10": "fig-5.3",
 }
 """Figures that another experiment draws too: the same movements under another model."""
 

@@ -21,6 +21,7 @@ import numpy as np
 
 from ._checks import is_concrete
 from ._controller import AffinePolicy
+from ._prediction import Prediction
 from ._solution import Solution
 from ._solver import Record
 from ._status import Status
@@ -29,7 +30,7 @@ from ._version import __version__
 LAYOUT = 1
 """Number of the layout described above; a file of a higher number is refused."""
 
-_CLASSES = {cls.__name__: cls for cls in (Solution, AffinePolicy, Status, Record)}
+_CLASSES = {cls.__name__: cls for cls in (Solution, Prediction, AffinePolicy, Status, Record)}
 _COMMENT = re.compile(rb"jaxctrl layout (\d{4}) sha256 ([0-9a-f]{64})")
 _LENGTH = len("jaxctrl layout 0001 sha256 ") + 64
 

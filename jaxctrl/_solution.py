@@ -70,8 +70,9 @@ class Solution(eqx.Module):
         Dimensions: `batch` (`batch_0`, ... for several), `time` (T+1,), `step` (T,), `state`,
         `control`, `iterate`. Coordinates: `ts` [s] of the states, `step_ts` [s] of the starts of
         the steps. The gains are `K` and `k`, `lower` and `upper` the bounds if any, `reason` names
-        the status, whose message is an attribute. `solution.to_xarray().to_netcdf(path)` writes a
-        file for other programs; `jc.save` one to go on with.
+        the status, whose message is an attribute; predicted covariances, if any, are `x_cov` and
+        `u_cov`. `solution.to_xarray().to_netcdf(path)` writes a file for other programs; `jc.save`
+        one to go on with.
 
         Raises ValueError under jit, vmap or grad.
         """
@@ -83,6 +84,8 @@ class Solution(eqx.Module):
         shape = np.shape(self.status.code)
         ok = np.asarray(self.status.ok)
         rows = [("cost", _spread(self.cost)), ("gradient", _spread(self.gradient))]
+        if self.prediction is not None:
+            rows[:1] = [("expected", rows[0][1]), ("nominal", _spread(self.nominal_cost))]
         rows.append(("iterations", _spread(self.num_steps)))
         if shape:
             size = int(np.prod(shape))
@@ -126,6 +129,9 @@ def _dataset(solution: Solution) -> "xarray.Dataset":
         "gradient": ((), solution.gradient),
         "num_steps": ((), solution.num_steps),
     }
+    if solution.prediction is not None:
+        variables["x_cov"] = (("time", "state", "state_"), solution.prediction.x_cov)
+        variables["u_cov"] = (("step", "control", "control_"), solution.prediction.u_cov)
     for name, values in solution.history._asdict().items():
         variables[f"history_{name}"] = (("iterate",), values)
     if policy.bounds is not None:

@@ -71,6 +71,23 @@ def test_a_linear_plant_started_at_its_deterministic_optimum_ends_at_multiplicat
     assert solution.history.cost[0] > cost * 1.001
 
 
+def test_a_solution_with_its_prediction_is_kept_and_shown(tmp_path):
+    problem = linear(every(), X0_COV)
+    solution = jc.solve(problem, jc.ILQG(), X0)
+    jc.save(tmp_path / "solution.npz", solution)
+    again = jc.load(tmp_path / "solution.npz")
+    for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(solution), strict=True):
+        np.testing.assert_array_equal(a, b)
+    data = solution.to_xarray()
+    np.testing.assert_array_equal(data.x_cov, solution.prediction.x_cov)
+    assert data.u_cov.dims == ("step", "control", "control_")
+    shown = str(solution)
+    assert "expected" in shown and "nominal" in shown
+    batch = jc.solve_batch(problem, jc.ILQG(), np.stack([X0, 2 * X0]))
+    np.testing.assert_allclose(batch.expected_cost[0], solution.expected_cost, rtol=1e-10)
+    np.testing.assert_allclose(batch.prediction.x_cov[0], solution.prediction.x_cov, rtol=1e-9)
+
+
 def test_predictions_are_what_trials_on_a_linear_plant_show():
     problem = linear(every(), X0_COV)
     solution = jc.solve(problem, jc.ILQG(), X0)

@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from .._local_model import expand
 from .._prediction import noise_cost
@@ -50,6 +51,13 @@ class ILQG(AbstractShooting):
         return box_or_free_law(model, damping, box, guess, "sequential")
 
     def merit(self, problem, xs, us, law, model=None):
-        """Return the expected cost under the law's gains, shape ()."""
+        """Return the expected cost under the law's gains, shape ().
+
+        Where the model is not convex, far from a goal, noise would seem to earn something; there it
+        counts as free.
+        """
+        cost = problem.total_cost(xs, us)
+        if problem.noise is None and problem.x0_cov is None:
+            return cost
         model = self.expand(problem, xs, us, False) if model is None else model
-        return problem.total_cost(xs, us) + noise_cost(problem, model, law.K)
+        return cost + jnp.maximum(noise_cost(problem, model, law.K), 0.0)

@@ -182,8 +182,10 @@ def _polished(
 ) -> ShootingState:
     """Take back a step of polishing that failed, and keep the best pair."""
     vain = failed(polish, old.gradient, new.gradient)
+    # A failure there is none of the iteration's.
+    status = _status.where(new.status.ok, new.status, old.status)
     back = eqx.tree_at(
-        lambda s: (s.fraction, s.status), old, (jnp.zeros_like(old.fraction), new.status)
+        lambda s: (s.fraction, s.status), old, (jnp.zeros_like(old.fraction), status)
     )
     new = jax.tree.map(lambda a, b: jnp.where(vain, a, b), back, new)
     lowered = (new.fraction > 0) & ~polish.going

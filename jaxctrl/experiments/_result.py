@@ -59,7 +59,7 @@ class Claim:
 
     def __post_init__(self):
         # NaN, which is true to Python, holds nothing.
-        object.__setattr__(self, "holds", bool(self.holds) and self.holds == self.holds)
+        object.__setattr__(self, "holds", bool(self.holds) and bool(self.holds == self.holds))
 
 
 def named(long_name: str, units: str) -> dict[str, str]:

@@ -100,39 +100,44 @@ def run(config: Config) -> Result:
     collided, costs = zip(*tried(noisy, plans), strict=True)
     hands = np.asarray(jax.vmap(jax.vmap(arm.hand))(solutions.xs)).reshape(2, count, -1, 2)
     failed = "" if bool(solutions.status.ok.all()) else solutions.status.message
-    ways, trials = ("noise", "way"), ("controller", "way", "trial")
-    data = xarray.Dataset(
+    places = {"target": np.asarray(target), "disc": np.asarray(centre)}
+    made = {"weight": np.asarray(weights), "duration": np.asarray(durations)}
+    data = _dataset(hands, places, made, np.asarray(levels))
+    iterations = np.reshape(solutions.num_steps, (2, count))
+    data["iterations"] = (("noise", "way"), iterations, named("iterations", "1"))
+    trials = ("controller", "way", "trial")
+    data["collided"] = (trials, np.stack(collided), named("whether the disc was met", "1"))
+    data["cost"] = (trials, np.stack(costs), named("cost of a trial without the barrier", "1"))
+    return Result(data, config, failed)
+
+
+def _dataset(hands, places, made, levels) -> xarray.Dataset:
+    """Label the ways, hands (noise, way, sample, axis), and how they keep clear and end."""
+    ways, target, centre = ("noise", "way"), places["target"], places["disc"]
+    return xarray.Dataset(
         {
             "hand": ((*ways, "sample", "axis"), hands, named("hand position", "m")),
             "clearance": (
                 ways,
-                np.linalg.norm(hands - np.asarray(centre), axis=-1).min(axis=-1) - RADIUS,
+                np.linalg.norm(hands - centre, axis=-1).min(axis=-1) - RADIUS,
                 named("least distance from the disc's rim", "m"),
             ),
             "error": (
                 ways,
-                np.linalg.norm(hands[:, :, -1] - np.asarray(target), axis=-1),
+                np.linalg.norm(hands[:, :, -1] - target, axis=-1),
                 named("distance from the target at the end", "m"),
             ),
-            "iterations": (
-                ways,
-                np.reshape(solutions.num_steps, (2, count)),
-                named("iterations", "1"),
-            ),
-            "collided": (trials, np.stack(collided), named("whether the disc was met", "1")),
-            "cost": (trials, np.stack(costs), named("cost of a trial without the barrier", "1")),
-            "weight": (("way",), np.asarray(weights), named("weight k1 of the obstacle", "m^2/s")),
-            "duration": (("way",), np.asarray(durations), named("duration", "s")),
-            "target": (("axis",), np.asarray(target), named("target", "m")),
-            "disc": (("axis",), np.asarray(centre), named("centre of the disc", "m")),
+            "weight": (("way",), made["weight"], named("weight k1 of the obstacle", "m^2/s")),
+            "duration": (("way",), made["duration"], named("duration", "s")),
+            "target": (("axis",), target, named("target", "m")),
+            "disc": (("axis",), centre, named("centre of the disc", "m")),
         },
         coords={
-            "noise": ("noise", np.asarray(levels), named("motor noise", "s^(1/2)")),
+            "noise": ("noise", levels, named("motor noise", "s^(1/2)")),
             "controller": ("controller", list(CONTROLLERS), {"long_name": "controller"}),
             "axis": ("axis", ["x", "y"], {"long_name": "axis"}),
         },
     )
-    return Result(data, config, failed)
 
 
 def figure(result: Result) -> Figure:

@@ -63,7 +63,17 @@ TIMED = {
 }
 
 
-@pytest.mark.parametrize("name", experiments.names())
+LONG = {"fig-5.6"}
+"""Quick runs that take long to compile all the same."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
+        for name in experiments.names()
+    ],
+)
 def test_quick_run_converges_draws_and_claims(name):
     module = experiments.load(name)
     config = module.Config.quick()

@@ -232,6 +232,7 @@ def scaled(scales):
     return jnp.stack([found.cost, found.law.k[1, 0], found.law.K[2, 0, 1], found.gains[3, 1, 1]])
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_fixed_point_are_those_of_differences():
     at, h = jnp.ones(2), 1e-5
     solve = jax.jit(scaled)

@@ -240,6 +240,7 @@ def test_an_end_that_is_not_converged_is_the_best_pair_that_was_met():
     np.testing.assert_allclose(solution.gradient, solution.history.gradient[at])
 
 
+@pytest.mark.slow
 def test_derivatives_of_what_did_not_converge_are_nan():
     problem = linear(every(), X0_COV)
     slope = jax.grad(lambda x0: jc.solve(problem, jc.ILQG(), x0, max_steps=0).cost)(X0)

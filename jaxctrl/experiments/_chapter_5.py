@@ -1,5 +1,6 @@
 """What the figures of chapter 5 of Li (2006) share: reaches around one posture, and ellipses."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -14,6 +15,7 @@ import jaxctrl as jc
 
 from ._result import Claim, named
 
+Arm = jc.plants.TorqueArm | jc.plants.MuscleArm
 START = (np.pi / 4, np.pi / 2)
 """Shoulder and elbow at the start [rad]; our choice."""
 NEAR = 0.005
@@ -27,10 +29,61 @@ def angles(count: int) -> np.ndarray:
     return 2 * np.pi * np.arange(count) / count
 
 
-def targets(arm: jc.AbstractArm, x0, radius: float, count: int) -> np.ndarray:
-    """Return the targets around the hand's start [m], (count, 2)."""
-    around = np.stack([np.cos(angles(count)), np.sin(angles(count))], axis=1)
-    return np.asarray(arm.hand(x0)) + radius * around
+@dataclass(frozen=True)
+class Reaches:
+    """Settings of reaches around the start: radius [m], duration [s], time steps, directions,
+    effort, and motor noise [s^(1/2)]. A figure adds what else it needs."""
+
+    radius: float = 0.1
+    duration: float = 0.5
+    num_steps: int = 50
+    directions: int = 8
+    effort: float = 1e-4
+    motor_noise: float = 0.02
+
+    def problems(self, arm: Arm, **changes: Any) -> jc.Problem:
+        """Return the reaches from START as a batch; `changes` go to `jc.tasks.centre_out`."""
+        settings = {
+            "n": self.directions,
+            "radius": self.radius,
+            "duration": self.duration,
+            "num_steps": self.num_steps,
+            "effort": self.effort,
+            "motor_noise": self.motor_noise,
+        }
+        return jc.tasks.centre_out(arm, arm.at_rest(*START), **(settings | changes))
+
+    def targets(self, arm: Arm) -> np.ndarray:
+        """Return the targets [m], (directions, 2)."""
+        turn = angles(self.directions)
+        around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        return np.asarray(arm.hand(arm.at_rest(*START))) + self.radius * around
+
+    def planned(self, arm: Arm, found: jc.Solution) -> dict[str, Any]:
+        """Return the variables hand, speed, iterations and target of one solution per direction."""
+        along = ("direction", "time")
+        velocity = jax.vmap(jax.vmap(arm.hand_velocity))(found.xs)
+        hand = jax.vmap(jax.vmap(arm.hand))(found.xs)
+        return {
+            "hand": ((*along, "axis"), hand, named("planned hand position", "m")),
+            "speed": (along, np.linalg.norm(velocity, axis=-1), named("planned hand speed", "m/s")),
+            "iterations": ("direction", found.num_steps, named("iterations", "1")),
+            "target": (("direction", "axis"), self.targets(arm), named("target", "m")),
+        }
+
+    def coordinates(self, *more: str) -> dict[str, Any]:
+        """Return the coordinates direction, time and axis, and, if wanted, "step" (where a control
+        begins) and "other" (of two axes)."""
+        time = np.linspace(0, self.duration, self.num_steps + 1)
+        turn = np.degrees(angles(self.directions))
+        known = {
+            "direction": ("direction", turn, named("direction", "degree")),
+            "time": ("time", time, named("time", "s")),
+            "axis": ("axis", ["x", "y"], {"long_name": "axis"}),
+            "step": ("step", time[:-1], named("time at which the control begins", "s")),
+            "other": ("other", ["x", "y"], {"long_name": "other axis of a covariance"}),
+        }
+        return {name: known[name] for name in ("direction", "time", "axis", *more)}
 
 
 def hand_cov(arm: jc.AbstractArm, xs, x_cov) -> np.ndarray:
@@ -55,18 +108,6 @@ def draw_ellipse(ax: Axes, centre: np.ndarray, cov: np.ndarray, scale: float, **
     reach = radius * np.sqrt(np.diag(cov))
     ax.update_datalim([centre - reach, centre + reach])
     ax.autoscale_view()
-
-
-def coordinates(count: int, duration: float, num_steps: int) -> dict[str, Any]:
-    """Return the coordinates direction, time, step (where a control begins) and axis."""
-    time = np.linspace(0, duration, num_steps + 1)
-    return {
-        "direction": ("direction", np.degrees(angles(count)), named("direction", "degree")),
-        "time": ("time", time, named("time", "s")),
-        "step": ("step", time[:-1], named("time at which the control begins", "s")),
-        "axis": ("axis", ["x", "y"], {"long_name": "axis"}),
-        "other": ("other", ["x", "y"], {"long_name": "other axis of a covariance"}),
-    }
 
 
 def end_errors(data: xarray.Dataset) -> np.ndarray:

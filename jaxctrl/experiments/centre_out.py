@@ -17,29 +17,23 @@ from matplotlib.figure import Figure
 
 import jaxctrl as jc
 
+from . import _chapter_5 as shared
 from ._planned import check_active_state, check_positive
 from ._result import Claim, Result, named
 
-START = (np.pi / 4, np.pi / 2)
 ARMS = ("torque", "muscle")
 
 
 @dataclass(frozen=True)
-class Config:
-    """Settings: radius [m], duration [s], directions, weights, weak and strong noise [s^(1/2)],
+class Config(shared.Reaches):
+    """Settings: those of the reaches, `motor_noise` being the weak one, the strong one [s^(1/2)],
     trials and seed; the muscles' active state, "linear", "brown" or "brown-fixed".
 
     The price of the last velocity, `velocity_weight` [s^2/m^2], is a tenth of that of `jc.tasks`:
     it is that of the implementation with which the movements are compared.
     """
 
-    radius: float = 0.1
-    duration: float = 0.5
-    num_steps: int = 50
-    directions: int = 8
     velocity_weight: float = 1e-3
-    effort: float = 1e-4
-    motor_noise: float = 0.02
     strong_noise: float = 0.05
     trials: int = 50
     seed: int = 0
@@ -57,24 +51,19 @@ class Config:
         return cls(trials=2)
 
 
-def _reach(arm: jc.AbstractArm, x0, config: Config):
-    """Solve for every direction in one batch, and run the noisy trials of each."""
-    problems = jc.tasks.centre_out(
-        arm,
-        x0,
-        n=config.directions,
-        radius=config.radius,
-        duration=config.duration,
-        num_steps=config.num_steps,
-        velocity_weight=config.velocity_weight,
-        effort=config.effort,
-    )
+def _reach(arm: shared.Arm, config: Config):
+    """Solve for every direction in one batch, and run the noisy trials of each.
+
+    Returns: the variables of one arm, and why they cannot be trusted, if so.
+    """
+    x0 = arm.at_rest(*shared.START)
+    problems = config.problems(arm, velocity_weight=config.velocity_weight, motor_noise=None)
     solutions = jc.solve_batch(problems, jc.ILQR(), x0)
     keys = jax.random.split(jax.random.key(config.seed), (config.directions, config.trials))
 
     def trial(level, problem, policy, key):
         noise = jc.SignalDependentNoise(level)
-        return jc.simulate(problem, policy, x0, key=key, noise=noise).xs
+        return jax.vmap(arm.hand)(jc.simulate(problem, policy, x0, key=key, noise=noise).xs)
 
     over_keys = jax.vmap(trial, in_axes=(None, None, None, 0))
     over_directions = jax.vmap(over_keys, in_axes=(None, 0, 0, 0))
@@ -82,61 +71,33 @@ def _reach(arm: jc.AbstractArm, x0, config: Config):
     noisy = jax.vmap(over_directions, in_axes=(0, None, None, None))(
         levels, problems, solutions.policy, keys
     )
-    on_grid = jax.vmap(jax.vmap(arm.hand))
-    paths, speeds = on_grid(solutions.xs), jax.vmap(jax.vmap(arm.hand_velocity))(solutions.xs)
-    return solutions, paths, jnp.linalg.norm(speeds, axis=-1), jax.vmap(jax.vmap(on_grid))(noisy)
+    data = config.planned(arm, solutions) | {
+        "noisy": (
+            ("noise", "direction", "trial", "time", "axis"),
+            noisy,
+            named("hand position in noisy trials", "m"),
+        ),
+        "peak_control": (
+            "direction",
+            np.abs(solutions.us).max(axis=(1, 2)),
+            named("largest control (N m for torques, excitation for muscles)", "1"),
+        ),
+    }
+    coords = config.coordinates()
+    coords["noise"] = ("noise", np.asarray(levels), named("motor noise", "s^(1/2)"))
+    failure = "" if bool(solutions.status.ok.all()) else solutions.status.message
+    return xarray.Dataset(data, coords).as_numpy(), failure
 
 
 def run(config: Config) -> Result:
-    """Reach with both arms; arrays lead with the arm and the direction."""
+    """Reach with both arms; arrays lead with the arm, but for the targets."""
     muscle = jc.plants.MuscleArm(active_state=config.active_state)  # pyright: ignore[reportArgumentType]
     arms = (jc.plants.TorqueArm(), muscle)
-    starts = [arm.at_rest(*START) for arm in arms]
-    reaches = [_reach(arm, x0, config) for arm, x0 in zip(arms, starts, strict=True)]
-    solutions, paths, speeds, noisy = zip(*reaches, strict=True)
-    failed = [s.status.message for s in solutions if not bool(s.status.ok.all())]
-    angles = 2 * np.pi * np.arange(config.directions) / config.directions
-    centre = np.asarray(arms[0].hand(starts[0]))
-    targets = centre + config.radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    many = ("arm", "direction")
-    data = xarray.Dataset(
-        {
-            "hand": ((*many, "time", "axis"), np.stack(paths), named("hand position", "m")),
-            "speed": ((*many, "time"), np.stack(speeds), named("hand speed", "m/s")),
-            "noisy": (
-                ("arm", "noise", "direction", "trial", "time", "axis"),
-                np.stack(noisy),
-                named("hand position in noisy trials", "m"),
-            ),
-            "target": (("direction", "axis"), targets, named("target", "m")),
-            "iterations": (
-                many,
-                np.stack([s.num_steps for s in solutions]),
-                named("iterations", "1"),
-            ),
-            "peak_control": (
-                many,
-                np.stack([np.abs(s.us).max(axis=(1, 2)) for s in solutions]),
-                named("largest control (N m for torques, excitation for muscles)", "1"),
-            ),
-        },
-        coords={
-            "arm": ("arm", list(ARMS), {"long_name": "arm"}),
-            "noise": (
-                "noise",
-                [config.motor_noise, config.strong_noise],
-                named("motor noise", "s^(1/2)"),
-            ),
-            "direction": ("direction", np.degrees(angles), named("direction", "degree")),
-            "time": (
-                "time",
-                np.linspace(0, config.duration, config.num_steps + 1),
-                named("time", "s"),
-            ),
-            "axis": ("axis", ["x", "y"], {"long_name": "axis"}),
-        },
-    )
-    return Result(data, config, "; ".join(failed))
+    parts, failures = zip(*(_reach(arm, config) for arm in arms), strict=True)
+    label = xarray.Variable("arm", list(ARMS), {"long_name": "arm"})
+    both = xarray.concat([part.drop_vars("target") for part in parts], dim="arm")
+    data = both.assign(target=parts[0].target).assign_coords(arm=label)
+    return Result(data, config, "; ".join(filter(None, failures)))
 
 
 def _measures(data: xarray.Dataset, arm: str) -> dict[str, np.ndarray]:

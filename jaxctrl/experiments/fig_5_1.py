@@ -24,16 +24,9 @@ ENLARGED = 50
 
 
 @dataclass(frozen=True)
-class Config:
-    """Settings: radius [m], duration [s], steps, directions, effort, motor noise [s^(1/2)], number
-    of noisy trials of each direction, and seed."""
+class Config(shared.Reaches):
+    """Settings: those of the reaches, number of noisy trials of each direction, and seed."""
 
-    radius: float = 0.1
-    duration: float = 0.5
-    num_steps: int = 50
-    directions: int = 8
-    effort: float = 1e-4
-    motor_noise: float = 0.02
     trials: int = 1000
     seed: int = 0
 
@@ -47,16 +40,7 @@ def run(config: Config) -> Result:
     """Plan in every direction, and let the policies meet the noise; arrays lead with direction."""
     arm = jc.plants.TorqueArm()
     x0 = arm.at_rest(*shared.START)
-    problems = jc.tasks.centre_out(
-        arm,
-        x0,
-        n=config.directions,
-        radius=config.radius,
-        duration=config.duration,
-        num_steps=config.num_steps,
-        effort=config.effort,
-        motor_noise=config.motor_noise,
-    )
+    problems = config.problems(arm)
     found = jc.solve_batch(problems, jc.ILQG(), x0)
     keys = jax.random.split(jax.random.key(config.seed), config.directions)
 
@@ -65,23 +49,16 @@ def run(config: Config) -> Result:
 
     outcome = jax.vmap(evaluate)(problems, found.policy, keys)
     failure = "" if bool(found.status.ok.all()) else found.status.message
-    return Result(_dataset(config, arm, x0, found, outcome), config, failure)
+    return Result(_dataset(config, arm, found, outcome), config, failure)
 
 
-def _dataset(config: Config, arm, x0, found: jc.Solution, outcome: jc.Evaluation) -> xarray.Dataset:
+def _dataset(config: Config, arm, found: jc.Solution, outcome: jc.Evaluation) -> xarray.Dataset:
     """Label what was planned and what came out of the noisy trials."""
-    along, planar = ("direction", "time"), ("direction", "axis", "other")
-    velocity = jax.vmap(jax.vmap(arm.hand_velocity))(found.xs)
+    planar = ("direction", "axis", "other")
     prediction = found.prediction
     assert prediction is not None
     predicted = shared.hand_cov(arm, found.xs[:, -1], prediction.x_cov[:, -1])
-    data = {
-        "hand": (
-            (*along, "axis"),
-            jax.vmap(jax.vmap(arm.hand))(found.xs),
-            named("planned hand position", "m"),
-        ),
-        "speed": (along, np.linalg.norm(velocity, axis=-1), named("planned hand speed", "m/s")),
+    data = config.planned(arm, found) | {
         "torque": (("direction", "step", "joint"), found.us, named("planned joint torque", "N m")),
         "predicted_end_cov": (
             planar,
@@ -105,14 +82,8 @@ def _dataset(config: Config, arm, x0, found: jc.Solution, outcome: jc.Evaluation
             named("standard error of the mean cost", "1"),
         ),
         "expected_cost": ("direction", found.expected_cost, named("cost expected by ILQG", "1")),
-        "iterations": ("direction", found.num_steps, named("iterations", "1")),
-        "target": (
-            ("direction", "axis"),
-            shared.targets(arm, x0, config.radius, config.directions),
-            named("target", "m"),
-        ),
     }
-    coords = shared.coordinates(config.directions, config.duration, config.num_steps)
+    coords = config.coordinates("step", "other")
     coords["joint"] = ("joint", ["shoulder", "elbow"], {"long_name": "joint"})
     return xarray.Dataset(data, coords=coords)
 

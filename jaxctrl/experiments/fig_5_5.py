@@ -26,9 +26,9 @@ from scipy.stats import binomtest
 
 import jaxctrl as jc
 
+from ._chapter_5 import START
 from ._result import Claim, Result, named
 
-START = (np.pi / 4, np.pi / 2)
 OFFSET = (-0.12, 0.09)
 ASIDE = (0.003, 0.004)
 """The target from the start, and the disc's centre from the middle of the way there [m]."""

@@ -9,7 +9,6 @@ Tuning is compared in each. Start, noise and weights are ours.
 
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 import xarray
 from matplotlib.axes import Axes
@@ -30,15 +29,10 @@ WINDOWS = {"whole": (0.0, 1.0), "first half": (0.0, 0.5), "second half": (0.5, 1
 
 
 @dataclass(frozen=True)
-class Config:
-    """Settings: radius [m], duration [s], steps, directions, effort and motor noise [s^(1/2)]."""
+class Config(shared.Reaches):
+    """Settings: those of the reaches."""
 
-    radius: float = 0.1
-    duration: float = 0.5
-    num_steps: int = 50
     directions: int = 16
-    effort: float = 1e-4
-    motor_noise: float = 0.02
 
     @classmethod
     def quick(cls) -> "Config":
@@ -49,33 +43,19 @@ class Config:
 def run(config: Config) -> Result:
     """Plan in every direction, and fit a cosine to each muscle's mean excitation."""
     arm = jc.plants.MuscleArm()
-    x0 = arm.at_rest(*shared.START)
-    problems = jc.tasks.centre_out(
-        arm,
-        x0,
-        n=config.directions,
-        radius=config.radius,
-        duration=config.duration,
-        num_steps=config.num_steps,
-        effort=config.effort,
-        motor_noise=config.motor_noise,
-    )
-    found = jc.solve_batch(problems, jc.ILQG(), x0)
-    velocity = jax.vmap(jax.vmap(arm.hand_velocity))(found.xs)
+    found = jc.solve_batch(config.problems(arm), jc.ILQG(), arm.at_rest(*shared.START))
     us = np.asarray(found.us)
     starts = np.arange(config.num_steps) / config.num_steps
     means = np.stack([us[:, (starts >= a) & (starts < b)].mean(1) for a, b in WINDOWS.values()])
     towards, explained = _tuning(shared.angles(config.directions), means)
-    along, tuned = ("direction", "time"), ("window", "muscle")
-    data = {
-        "hand": (
-            (*along, "axis"),
-            jax.vmap(jax.vmap(arm.hand))(found.xs),
-            named("planned hand position", "m"),
-        ),
-        "speed": (along, np.linalg.norm(velocity, axis=-1), named("planned hand speed", "m/s")),
+    tuned = ("window", "muscle")
+    data = config.planned(arm, found) | {
         "excitation": (("direction", "step", "muscle"), us, named("planned excitation", "1")),
-        "activation": ((*along, "muscle"), found.xs[..., 4:], named("planned activation", "1")),
+        "activation": (
+            ("direction", "time", "muscle"),
+            found.xs[..., 4:],
+            named("planned activation", "1"),
+        ),
         "mean_excitation": (
             ("window", "direction", "muscle"),
             means,
@@ -87,15 +67,8 @@ def run(config: Config) -> Result:
             named("direction of the fitted cosine", "degree"),
         ),
         "explained": (tuned, explained, named("R^2 of the fitted cosine", "1")),
-        "iterations": ("direction", found.num_steps, named("iterations", "1")),
-        "target": (
-            ("direction", "axis"),
-            shared.targets(arm, x0, config.radius, config.directions),
-            named("target", "m"),
-        ),
     }
-    coords = shared.coordinates(config.directions, config.duration, config.num_steps)
-    coords.pop("other")
+    coords = config.coordinates("step")
     coords["muscle"] = ("muscle", list(jc.plants.MUSCLES), {"long_name": "muscle"})
     coords["window"] = ("window", list(WINDOWS), {"long_name": "part of the movement"})
     failure = "" if bool(found.status.ok.all()) else found.status.message

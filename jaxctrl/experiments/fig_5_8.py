@@ -35,15 +35,10 @@ INTERVAL = 1.96
 
 
 @dataclass(frozen=True)
-class Config:
-    """Settings: radius [m], duration [s], steps, directions, effort, motor noise [s^(1/2)], number
-    of trials of each direction and way, how many of them are kept to be drawn, and seed."""
+class Config(shared.Reaches):
+    """Settings: those of the reaches, number of trials of each direction and way, how many of them
+    are kept to be drawn, and seed."""
 
-    radius: float = 0.1
-    duration: float = 0.5
-    num_steps: int = 50
-    directions: int = 8
-    effort: float = 1e-4
     motor_noise: float = 0.05
     trials: int = 4000
     drawn: int = 8
@@ -59,17 +54,10 @@ def run(config: Config) -> Result:
     """Plan twice, then let all three controllers meet the noise; arrays lead with controller."""
     arm = jc.plants.MuscleArm()
     x0 = arm.at_rest(*shared.START)
-
-    def reaches(**noise):
-        return jc.tasks.centre_out(
-            arm, x0, n=config.directions, radius=config.radius, duration=config.duration,
-            num_steps=config.num_steps, effort=config.effort, **noise,
-        )  # fmt: skip
-
-    problems = reaches(motor_noise=config.motor_noise)
+    problems = config.problems(arm)
     found = {
         "ILQG": jc.solve_batch(problems, jc.ILQG(), x0),
-        "ILQR": jc.solve_batch(reaches(), jc.ILQR(), x0),
+        "ILQR": jc.solve_batch(config.problems(arm, motor_noise=None), jc.ILQR(), x0),
     }
     failed = [f"{k}: {s.status.message}" for k, s in found.items() if not bool(s.status.ok.all())]
     closed, ignorant = (solution.policy for solution in found.values())
@@ -93,10 +81,10 @@ def run(config: Config) -> Result:
         return jax.vmap(over_directions, in_axes=(None, 0, None))(problems, policies, keys)
 
     outcome, noisy = everywhere(evaluate), everywhere(some)
-    return Result(_dataset(config, arm, x0, found, outcome, noisy), config, "; ".join(failed))
+    return Result(_dataset(config, arm, found, outcome, noisy), config, "; ".join(failed))
 
 
-def _dataset(config, arm, x0, found, outcome: jc.Evaluation, noisy) -> xarray.Dataset:
+def _dataset(config: Config, arm, found, outcome: jc.Evaluation, noisy) -> xarray.Dataset:
     names, both = list(CONTROLLERS), ("controller", "direction")
     by_name = {name: jax.tree.map(lambda a, i=i: a[i], outcome) for i, name in enumerate(names)}
     differ = jax.vmap(jc.Evaluation.difference)
@@ -108,7 +96,6 @@ def _dataset(config, arm, x0, found, outcome: jc.Evaluation, noisy) -> xarray.Da
     centred = hands - hands.mean(axis=2, keepdims=True)
     cov = np.einsum("cdti,cdtj->cdij", centred, centred) / (config.trials - 1)
     predicted = shared.hand_cov(arm, plan.xs[:, -1], plan.prediction.x_cov[:, -1])
-    aims = shared.targets(arm, x0, config.radius, config.directions)
     pairs = ("pair", "direction")
     data = {
         "cost": (both, jax.vmap(jax.vmap(lambda e: e.cost))(outcome), named("mean cost", "1")),
@@ -145,10 +132,9 @@ def _dataset(config, arm, x0, found, outcome: jc.Evaluation, noisy) -> xarray.Da
             noisy,
             named("hand position in some noisy trials", "m"),
         ),
-        "target": (("direction", "axis"), aims, named("target", "m")),
+        "target": (("direction", "axis"), config.targets(arm), named("target", "m")),
     }
-    coords = shared.coordinates(config.directions, config.duration, config.num_steps)
-    coords.pop("step")
+    coords = config.coordinates("other")
     coords["controller"] = ("controller", names, {"long_name": "controller"})
     coords["pair"] = ("pair", [f"{a} - {b}" for a, b in PAIRS], {"long_name": "difference"})
     return xarray.Dataset(data, coords=coords)

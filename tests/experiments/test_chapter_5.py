@@ -4,7 +4,8 @@ import numpy as np
 import xarray
 from numpy.testing import assert_allclose
 
-from jaxctrl.experiments import Result, _chapter_5 as shared, fig_5_1, fig_5_7, fig_5_8, named
+import jaxctrl as jc
+from jaxctrl.experiments import Result, _chapter_5 as shared, fig_5_7, fig_5_8, named
 
 
 def test_a_cosine_is_found_again_and_two_lobes_are_not_explained():
@@ -30,7 +31,7 @@ def costs(difference, error):
         "difference": (("pair", "direction"), np.array(difference), named("difference", "1")),
         "difference_error": (("pair", "direction"), np.array(error), named("error", "1")),
     }
-    coords = shared.coordinates(count, 0.5, 2) | {
+    coords = shared.Reaches(directions=count, num_steps=2).coordinates("other") | {
         "controller": ("controller", ["A", "B", "C"], {"long_name": "controller"}),
         "pair": ("pair", ["A - C", "C - B"], {"long_name": "pair"}),
     }
@@ -58,7 +59,7 @@ def test_two_peaks_are_no_bell():
 
 
 def test_ellipses_have_the_axes_of_the_covariance():
-    figure = fig_5_1.jc.plot.panels()[0]
+    figure = jc.plot.panels()[0]
     ax = figure.axes[0]
     shared.draw_ellipse(ax, np.zeros(2), np.diag([1e-6, 4e-6]), 10.0)
     (ellipse,) = ax.patches

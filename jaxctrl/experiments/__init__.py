@@ -60,6 +60,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.fig_5_1",
         "Reaches of the torque arm in 8 directions by ILQG, with the ellipses that it predicts",
     ),
+    "fig-5.3": (
+        "jaxctrl.experiments.fig_5_3",
+        "Reaches of the torque arm planned by ILQG from 50 random control laws",
+    ),
     "fig-5.5": (
         "jaxctrl.experiments.fig_5_5",
         "Ways of the torque arm round an obstacle: its weight, the duration, and motor noise",
@@ -75,6 +79,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
     "fig-5.8": (
         "jaxctrl.experiments.fig_5_8",
         "Noisy reaches of the muscle arm without feedback, with ILQG's, and with ILQR's",
+    ),
+    "fig-5.10": (
+        "jaxctrl.experiments.fig_5_10",
+        "Reaches of the muscle arm planned by ILQG from 50 random control laws",
     ),
     "centre-out": (
         "jaxctrl.experiments.centre_out",

@@ -1,11 +1,20 @@
 """The parts of the experiments of chapter 5, one by one."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray
 from numpy.testing import assert_allclose
 
 import jaxctrl as jc
-from jaxctrl.experiments import Result, _chapter_5 as shared, fig_5_7, fig_5_8, named
+from jaxctrl.experiments import (
+    Result,
+    _chapter_5 as shared,
+    _random_laws as random_laws,
+    fig_5_7,
+    fig_5_8,
+    named,
+)
 
 
 def test_a_cosine_is_found_again_and_two_lobes_are_not_explained():
@@ -67,3 +76,55 @@ def test_ellipses_have_the_axes_of_the_covariance():
     assert_allclose([ellipse.width, ellipse.height], 2 * half)
     assert_allclose(abs(ellipse.angle), 90.0)
     assert_allclose(shared.spread(np.diag([1e-6, 4e-6])), np.sqrt(5e-6))
+
+
+def planned(cost, ok=None, miss=0.0, laws=50):
+    """Make a result of two amplitudes, one direction: costs of the second one's laws."""
+    lanes, shape = ("amplitude", "direction", "law"), (2, 1, laws)
+    costs, converged = np.ones(shape), np.ones(shape, bool)
+    costs[1, 0, : len(cost)] = cost
+    converged[1, 0, : len(cost)] = True if ok is None else ok
+    hand = np.zeros((*shape, 3, 2))
+    hand[1, 0, 0, -1, 0] = miss
+    words = named("made up", "1")
+    values = {
+        "cost": (lanes, costs, words),
+        "ok": (lanes, converged, words),
+        "iterations": (lanes, np.ones(shape, int), words),
+        "first_strays": (("amplitude", "law"), np.zeros((2, laws), bool), words),
+        "strays": (lanes, np.zeros(shape, bool), words),
+        "hand": ((*lanes, "time", "axis"), hand, words),
+        "target": (("direction", "axis"), np.zeros((1, 2)), words),
+    }
+    coords = random_laws.Settings(directions=1, num_steps=2).coordinates()
+    coords["amplitude"] = ("amplitude", [0.1, 0.3], words)
+    return Result(xarray.Dataset(values, coords), random_laws.Settings())
+
+
+def test_random_laws_are_judged_by_the_interval_of_those_that_find_the_best():
+    claims = random_laws.claims(planned([1.2] * 10), "nowhere")
+    assert [claim.holds for claim in claims] == [True, True]
+    assert "0.80 by direction, the least in 0.67 to 0.89" in claims[0].measured
+    assert not random_laws.claims(planned([1.2] * 22), "nowhere")[0].holds  # 28 of 50: too near
+    assert random_laws.claims(planned([1.04] * 22), "nowhere")[0].holds
+    # What has not converged is no best, however cheap.
+    assert random_laws.claims(planned([0.1] * 5, ok=False), "nowhere")[0].holds
+
+
+def test_ends_are_judged_over_all_laws():
+    assert random_laws.claims(planned([], miss=0.009), "nowhere")[1].holds
+    claim = random_laws.claims(planned([1.2], miss=0.011), "nowhere")[1]
+    assert not claim.holds and claim.note and "0.980 of all are nearer" in claim.measured
+
+
+def test_laws_of_a_problem_stand_in_a_row():
+    problems = jc.tasks.centre_out(jc.plants.TorqueArm(), jnp.array([0.8, 1.6, 0, 0]), n=3)
+    one = jax.tree.map(lambda leaf: leaf[0], problems)
+    settings = random_laws.Settings(laws=2)
+    laws = random_laws.draw(jc.plants.TorqueArm(), one, 0.3, settings)
+    tasks, starts = random_laws.all_pairs(problems, laws)
+    assert len(tasks.dt) == len(starts.us) == 6
+    assert_allclose(starts.us[::2], np.stack([laws.us[0]] * 3))
+    assert not np.allclose(laws.K[0], laws.K[1])
+    for leaf, repeated in zip(jax.tree.leaves(problems), jax.tree.leaves(tasks), strict=True):
+        assert_allclose(repeated, np.repeat(leaf, 2, axis=0))

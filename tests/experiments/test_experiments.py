@@ -63,7 +63,7 @@ TIMED = {
 }
 
 
-LONG = {"fig-5.6"}
+LONG = {"fig-5.6", "fig-5.10"}
 """Quick runs that take long to compile all the same."""
 
 

@@ -84,6 +84,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.fig_5_10",
         "Reaches of the muscle arm planned by ILQG from 50 random control laws",
     ),
+    "ablations-5.1": (
+        "jaxctrl.experiments.ablations_5_1",
+        "What section 5.1 claims of ILQG: noise as an energy cost, the recursion's true Hessian",
+    ),
     "centre-out": (
         "jaxctrl.experiments.centre_out",
         "10 cm reaches in 8 directions with both arms",

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import xarray
 from numpy.testing import assert_allclose
 
@@ -11,6 +12,7 @@ from jaxctrl.experiments import (
     Result,
     _chapter_5 as shared,
     _random_laws as random_laws,
+    _recursions as recursions,
     fig_5_7,
     fig_5_8,
     named,
@@ -128,3 +130,23 @@ def test_laws_of_a_problem_stand_in_a_row():
     assert not np.allclose(laws.K[0], laws.K[1])
     for leaf, repeated in zip(jax.tree.leaves(problems), jax.tree.leaves(tasks), strict=True):
         assert_allclose(repeated, np.repeat(leaf, 2, axis=0))
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-4])
+def test_recursion_with_the_true_hessian_promises_what_its_law_gains(damping):
+    reaches, arm = shared.Reaches(num_steps=10), jc.plants.TorqueArm()
+    problem = jax.tree.map(lambda leaf: leaf[1], reaches.problems(arm))
+    us = 0.1 * jax.random.normal(jax.random.key(0), (10, 2))
+    xs = problem.rollout(arm.at_rest(*shared.START), us)
+    model, d = jc.expand(problem, xs, us, noise=True), jnp.full((10, 2), damping)
+    law, held = recursions.TrueHessianILQG().law(model, d, None, 0 * us)
+    fixed = jc.linear.lqr(model, d)
+    assert bool(law.ok) and int(law.failed) == int(law.nonfinite) == -1 and not held.any()
+    gains = jc.linear.evaluate(model, law.k, law.K).v - jc.linear.evaluate(model, 0 * us, law.K).v
+    assert_allclose(law.linear + law.quadratic, gains, rtol=1e-9)
+    if damping == 0:  # one and the same
+        for name in ("k", "K", "gradient", "curvature", "linear", "quadratic"):
+            assert_allclose(getattr(law, name), getattr(fixed, name), rtol=1e-6, atol=1e-12)
+    else:
+        assert np.abs(law.k / fixed.k - 1).max() > 0.1
+        assert_allclose(law.k[-1], fixed.k[-1])  # the same step, before any recursion

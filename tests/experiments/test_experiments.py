@@ -35,6 +35,11 @@ FAILING = {
         "The torque arm's converged paths stay within the figure's axes, with a stopping term",
         "The torque arm's converged paths stay within the figure's axes, (4.20) as printed",
     },
+    "ablations-5.1": {
+        "Weak noise, 0.02 s^(1/2), is an energy cost by itself: without effort ILQG converges to "
+        "smooth torques",
+        "Undamped at first, ILQG takes fewer iterations with the true Hessian in its recursion",
+    },
     "fig-5.8": {
         "ILQR, made without noise (C) costs more than ILQG (B), in each direction",
     },
@@ -63,7 +68,7 @@ TIMED = {
 }
 
 
-LONG = {"fig-5.6", "fig-5.10"}
+LONG = {"fig-5.6", "fig-5.10", "ablations-5.1"}
 """Quick runs that take long to compile all the same."""
 
 

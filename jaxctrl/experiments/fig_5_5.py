@@ -163,7 +163,7 @@ def figure(result: Result) -> Figure:
             row[0].legend(loc="upper left", bbox_to_anchor=(1.02, 1.0))
             _draw_clearances(row[1], planned, group)
     with jc.plot.style():
-        axes[0, 1].legend(loc="lower right")
+        axes[0, 1].legend(loc="upper left", bbox_to_anchor=(0.02, 1.0))
     return fig
 
 

@@ -150,3 +150,22 @@ def test_recursion_with_the_true_hessian_promises_what_its_law_gains(damping):
     else:
         assert np.abs(law.k / fixed.k - 1).max() > 0.1
         assert_allclose(law.k[-1], fixed.k[-1])  # the same step, before any recursion
+
+
+def recursed(ratio, lost=0):
+    """Make data of two directions and twenty laws, damped ones with a ratio of iterations."""
+    lanes, shape = ("hessian", "damping", "direction", "amplitude", "law"), (2, 2, 2, 2, 20)
+    counts, expected = np.full(shape, 10.0), np.ones(shape)
+    counts[1, 1] = 10 * ratio * np.exp(0.1 * np.random.default_rng(0).standard_normal(20))
+    expected[1, 1, ..., :lost] = 2.0
+    values = {"iterations": counts, "expected": expected, "converged": expected > 0}
+    return xarray.Dataset({name: (lanes, each) for name, each in values.items()})
+
+
+def test_recursions_are_judged_by_intervals_over_laws():
+    judged = recursions.claims(recursed(0.8))
+    assert [claim.holds for claim in judged] == [True, False, True]
+    assert "1.000 (1.000 to 1.000)" in judged[1].measured
+    assert not recursions.claims(recursed(1.0))[0].holds
+    lost = recursions.claims(recursed(0.8, lost=4))
+    assert lost[0].holds and not lost[2].holds and "-0.200" in lost[2].measured

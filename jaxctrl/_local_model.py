@@ -36,7 +36,7 @@ def expand(
     """
     nx = problem.plant.nx
     zs = jnp.concatenate([xs[:-1], us], axis=1)
-    ts, terms = problem.ts[:-1], problem.terms
+    ts = problem.ts[:-1]
 
     def step(z, t):
         return problem.step(z[:nx], z[nx:], t)
@@ -46,18 +46,11 @@ def expand(
     vx = gradient(problem.end)(xs[-1])
     vxx = jacobian(gradient(problem.end), symmetric=True)(xs[-1])
 
-    def residual(z, t, i):
-        return problem.residual(z[:nx], z[nx:], step(z, t), i)
-
-    rho = jnp.zeros((len(zs), 0), xs.dtype)
-    if terms.residuals:
-        each = (zs, ts, jnp.arange(len(zs)))
-        rho, slopes = jax.vmap(residual)(*each), jax.vmap(jacobian(residual))(*each)
-        lz = lz + jnp.einsum("tmz,tm->tz", slopes, rho)
-        lzz = lzz + jnp.einsum("tmz,tmw->tzw", slopes, slopes)
+    rho, added, squared = _residual_terms(problem, zs, ts)
+    lz, lzz = lz + added, lzz + squared
 
     weights = []
-    for group in terms.events:
+    for group in problem.terms.events:
         k, z_gradient, z_hessian, weight = _event_terms(problem, group, xs, fz)
         lz = lz.at[k].add(z_gradient)
         lzz = lzz.at[k].add(z_hessian)
@@ -140,6 +133,22 @@ def _running_terms(problem: Problem, zs, ts):
     # What does not depend on z, t and i, as the Hessian of a quadratic rate, `vmap` computes once.
     hessian = jacobian(gradient(running), symmetric=True)
     return jax.vmap(gradient(running))(zs, ts, steps), jax.vmap(hessian)(zs, ts, steps)
+
+
+def _residual_terms(problem: Problem, zs, ts):
+    """Return the residuals (T, m), and what half their square adds to gradients and Hessians."""
+    nx, steps = problem.plant.nx, jnp.arange(len(zs))
+    if not problem.terms.residuals:
+        return jnp.zeros((len(zs), 0), zs.dtype), 0.0, 0.0
+
+    def residual(z, t, i):
+        x, u = z[:nx], z[nx:]
+        return problem.residual(x, u, problem.step(x, u, t), i)
+
+    rho = jax.vmap(residual)(zs, ts, steps)
+    slopes = jax.vmap(jacobian(residual))(zs, ts, steps)
+    added = jnp.einsum("tmz,tm->tz", slopes, rho)
+    return rho, added, jnp.einsum("tmz,tmw->tzw", slopes, slopes)
 
 
 def _event_terms(problem: Problem, group, xs, fz):

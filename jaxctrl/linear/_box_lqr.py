@@ -77,26 +77,29 @@ def box_lqr(
         unknown.any(), lambda: jnp.where(unknown, _pushed(box, sweeps), given), lambda: given
     )
     first = jnp.where(box.movable | (first != 0), first, -1.0)
-    end = _search(box, sweeps, first, max_sweeps)
+    sweep, side = _law(box, _search(box, sweeps, first, max_sweeps))
+    if model.noise is None:
+        return sweep, side
+    return jax.lax.cond(
+        sweep.settled | ~sweep.ok,
+        lambda: (sweep, side),
+        lambda: stagewise_lqr(model, box.lower, box.upper, box.damping),
+    )
+
+
+def _law(box: Box, end: _Iterate) -> tuple[Sweep, Array]:
+    """Return the law that leads to the controls where a search has ended, and their held set."""
     last, point = end.last, end.interior
     dxs, dus, slope = select(end.settled | ~point.settled, last[:3], point[:3])
-    # The law that leads to these controls on the model.
     k = dus - jnp.sum(last.K * dxs[:-1, None, :], axis=2)
     linear = jnp.sum(last.gradient * dus)
     change = 0.5 * jnp.sum((last.gradient + slope) * dus)
     settled = end.settled | point.settled
     sweep = Sweep(
         k, last.K, last.gradient, last.curvature - box.damping, linear, change - linear,
-        last.ok.all(), last_true(~last.ok), nonfinite(model, last.finite), settled,
+        last.ok.all(), last_true(~last.ok), nonfinite(box.model, last.finite), settled,
     )  # fmt: skip
-    side = jnp.where(settled, end.side, jnp.nan)
-    if model.noise is None:
-        return sweep, side
-    return jax.lax.cond(
-        settled | ~sweep.ok,
-        lambda: (sweep, side),
-        lambda: stagewise_lqr(model, box.lower, box.upper, box.damping),
-    )
+    return sweep, jnp.where(settled, end.side, jnp.nan)
 
 
 def _search(box: Box, sweeps: Engine, first: Array, max_sweeps: int) -> _Iterate:

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._linalg import matmul, symmetrise
-from .._types import LocalModel, Noise
-from ._step import pack
+from .._types import LocalModel
+from ._step import Packed, pack
 
 
 def covariances(
@@ -31,21 +31,22 @@ def covariances(
         F = stage.fx + matmul(stage.fu, K)
         after = matmul(matmul(F, X), F.T)
         if stage.noise is not None:
-            after = after + matmul(stage.noise.c.T, stage.noise.c)
-            if stage.noise.cx is not None or stage.noise.cu is not None:
-                after = after + _spread(stage.noise, K, X)
+            after = after + 2 * stage.noise.square + _spread(stage.noise, K, X)
         after = symmetrise(after)
         return after, (after, symmetrise(matmul(matmul(K, X), K.T)))
 
-    _, (xs, us) = jax.lax.scan(forth, x0_cov, (model.stages, K))
+    stages = model.stages
+    if model.noise is not None:
+        stages = stages._replace(noise=pack(model.noise, model.fu.shape[1:]))
+    _, (xs, us) = jax.lax.scan(forth, x0_cov, (stages, K))
     return jnp.concatenate([x0_cov[None], xs]), us
 
 
-def _spread(noise: Noise, K: Float[Array, "nu nx"], X: Float[Array, "nx nx"]) -> Array:
-    """Return sum_i C_i X C_i' (nx, nx) of the slopes C_i of a noise under gains K."""
-    nx, nu = K.shape[1], K.shape[0]
-    slopes = pack(noise, (nx, nu)).slopes
-    assert slopes is not None
+def _spread(noise: Packed, K: Float[Array, "nu nx"], X: Float[Array, "nx nx"]) -> Array:
+    """Return sum_i C_i X C_i' (nx, nx) of the slopes C_i of a step's noise under gains K."""
+    slopes, nx = noise.slopes, K.shape[1]
+    if slopes is None:
+        return jnp.zeros_like(X)
     C = slopes[..., :nx] + slopes[..., nx:] @ K
     moments = C @ X @ C.mT
     if noise.rows is None:

@@ -1,5 +1,7 @@
 """ILQG against ILQR, multiplicative LQG in NumPy, simulated trials, and differences of solves."""
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,6 +9,8 @@ import numpy as np
 import pytest
 
 import jaxctrl as jc
+from jaxctrl._local_model import expand
+from jaxctrl._prediction import predict
 
 T, DT = 30, 0.02
 A = np.array([[0.0, 1.0, 0.0], [-2.0, -0.5, 1.0], [0.0, 0.0, -10.0]])
@@ -274,3 +278,90 @@ def test_check_gradients_covers_what_the_noise_does():
     report = jc.check_gradients(problem, jc.ILQG(), X0, where=lambda name: "intensity" in name)
     assert {row.output for row in report.rows} >= {"cost", "gains", "covariance"}
     assert report.worst < 1e-7, report
+
+
+@pytest.mark.slow
+def test_second_derivatives_are_those_of_the_closed_form():
+    problem = linear(every(), X0_COV)
+
+    def cost(sigma):
+        noisy = eqx.tree_at(lambda p: p.noise.parts[0].intensity, problem, sigma)
+        return jc.solve(noisy, jc.ILQG(), X0).cost
+
+    def exact(sigma):
+        return multiplicative(sigma, STATE, 0.03 * np.eye(3), X0_COV)[0]
+
+    h = 1e-4 * np.eye(2)
+    differences = [
+        [sum(a * b * exact(SIGMA + a * d + b * e) for a in (1, -1) for b in (1, -1)) for e in h]
+        for d in h
+    ]
+    found = jax.hessian(cost)(jnp.asarray(SIGMA))
+    np.testing.assert_allclose(found, np.array(differences) / (4e-8), rtol=5e-6)
+
+
+@pytest.mark.slow
+def test_second_derivatives_under_noise_are_differences_of_gradients(wheel):
+    def value(theta):
+        where = lambda p: (p.noise.intensity, p.plant.gravity)  # noqa: E731
+        problem = eqx.tree_at(where, wheel, (theta[:2], theta[2]))
+        solution = jc.solve(problem, TIGHT, theta[3:])
+        return solution.cost + solution.us[3].sum() + solution.policy.K[4, 0, 0]
+
+    slope = jax.jit(jax.grad(value))
+    theta = jnp.array([0.15, 0.1, 4.0, 0.1, -0.2])
+    along = jnp.array([0.1, -0.05, 1.0, 0.2, -0.3])
+    _, found = jax.jit(lambda t: jax.jvp(slope, (t,), (along,)))(theta)
+    h = 1e-4
+    difference = (slope(theta + h * along) - slope(theta - h * along)) / (2 * h)
+    np.testing.assert_allclose(found, difference, atol=1e-8 * np.abs(difference).max())
+
+
+REACHES = {
+    "torque": (jc.plants.TorqueArm, ("noise.intensity", "cost.parts[0].position", "weight")),
+    "muscle": (jc.plants.MuscleArm, ("noise.intensity", "cost.parts[0].position", "alpha")),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", REACHES)
+def test_derivatives_of_reaches_are_differences_of_solves(kind):
+    plant, wanted = REACHES[kind]
+    arm = plant()
+    x0 = arm.at_rest(shoulder=np.pi / 4, elbow=np.pi / 2)
+    target = arm.hand(x0) + jnp.array([-0.07, 0.07])
+    problem = jc.tasks.reach(arm, target, 0.5, num_steps=50, motor_noise=0.02)
+    report = jc.check_gradients(problem, jc.ILQG(), x0, where=lambda name: name.endswith(wanted))
+    assert report.worst < 1e-4, report
+    assert max(row.transposed for row in report.rows) < 1e-10, report
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", [jc.plants.TorqueArm, jc.plants.MuscleArm])
+def test_half_the_time_step_leaves_paths_and_open_loop_ends(plant):
+    arm = plant()
+    x0 = arm.at_rest(shoulder=np.pi / 4, elbow=np.pi / 2)
+    paths, blind, closed = [], [], []
+    for num_steps in (50, 100, 200):
+        problems = jc.tasks.centre_out(
+            arm, x0, n=2, radius=0.1, duration=0.5, num_steps=num_steps, motor_noise=0.02
+        )
+        found = jc.solve_batch(problems, jc.ILQG(), x0)
+        assert found.status.ok.all(), found.status.message
+
+        def end_sd(problem, xs, us, K):
+            cov = predict(problem, expand(problem, xs, us, noise=True), xs, us, K).x_cov[-1]
+            slope = jax.jacfwd(arm.hand)(xs[-1])
+            return jnp.sqrt(jnp.trace(slope @ cov @ slope.T))
+
+        sd = jax.jit(jax.vmap(end_sd))
+        paths.append(jax.vmap(jax.vmap(arm.hand))(found.xs)[:, :: num_steps // 50])
+        blind.append(sd(problems, found.xs, found.us, jnp.zeros_like(found.policy.K)))
+        closed.append(sd(problems, found.xs, found.us, found.policy.K))
+    apart = [np.linalg.norm(b - a, axis=-1).max() for a, b in itertools.pairwise(paths)]
+    assert apart[0] < 2e-3 and apart[1] < 0.65 * apart[0]
+    np.testing.assert_allclose(blind[1] / blind[0], 1, atol=0.05)
+    # Feedback acts on what is known at the last step: ends scatter by what noise did since, so
+    # that their deviations fall with the step. They settle, but only at first order.
+    first, second = (np.abs(np.log(b / a)) for a, b in itertools.pairwise(closed))
+    assert (second < 0.65 * first).all(), (first, second)

@@ -88,6 +88,10 @@ EXPERIMENTS: dict[str, tuple[str, str]] = {
         "jaxctrl.experiments.ablations_5_1",
         "What section 5.1 claims of ILQG: noise as an energy cost, the recursion's true Hessian",
     ),
+    "prediction": (
+        "jaxctrl.experiments.prediction",
+        "Costs and end points that ILQG predicts, and those of trials, from weak to strong noise",
+    ),
     "centre-out": (
         "jaxctrl.experiments.centre_out",
         "10 cm reaches in 8 directions with both arms",

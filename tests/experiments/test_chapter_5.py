@@ -16,6 +16,7 @@ from jaxctrl.experiments import (
     fig_5_7,
     fig_5_8,
     named,
+    prediction,
 )
 
 
@@ -169,3 +170,24 @@ def test_recursions_are_judged_by_intervals_over_laws():
     assert not recursions.claims(recursed(1.0))[0].holds
     lost = recursions.claims(recursed(0.8, lost=4))
     assert lost[0].holds and not lost[2].holds and "-0.200" in lost[2].measured
+
+
+def test_predictions_are_judged_by_how_surely_trials_are_off():
+    dims, ones = ("case", "intensity", "direction"), np.ones((3, 2, 1))
+    cost, found = ones.copy(), ones.copy()
+    cost[1] = [[1.04], [1.2]]
+    cost[2] = [[1.06], [1.0]]
+    found[0, 1] = 0.8
+    error = 0.01 * ones
+    values = {"expected": ones, "cost": cost, "error": error, "predicted": ones, "found": found}
+    data = xarray.Dataset(
+        {name: (dims, value, named(name, "1")) for name, value in values.items()},
+        coords={
+            "case": ("case", list(prediction.CASES), {"long_name": "arm"}),
+            "intensity": ("intensity", [0.01, 0.02], named("motor noise", "s^(1/2)")),
+        },
+    )
+    judged = prediction.claims(Result(data, prediction.Config(trials=1000)))
+    # In the last row 6 +- 1 % might be 5 %.
+    assert [claim.holds for claim in judged] == [True, False, False, True, True, True]
+    assert "leaves 5 % at 0.02" in judged[2].note and "clipped" in judged[2].note

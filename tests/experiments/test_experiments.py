@@ -68,7 +68,7 @@ TIMED = {
 }
 
 
-LONG = {"fig-5.6", "fig-5.10", "ablations-5.1"}
+LONG = {"fig-5.6", "fig-5.10", "ablations-5.1", "prediction"}
 """Quick runs that take long to compile all the same."""
 
 

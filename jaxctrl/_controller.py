@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ._checks import is_concrete
+from ._linalg import matmul
 from ._problem import Problem
 from ._types import Bounds, array_leaf, as_bounds, clip
 
@@ -138,7 +139,7 @@ class AffinePolicy(AbstractController):
 
         NaN for another problem's step, or beyond the last.
         """
-        u = self.us[i] + self.k[i] + self.K[i] @ (y - self.xs[i])
+        u = self.us[i] + self.k[i] + matmul(self.K[i], y - self.xs[i])
         return memory, _act(self, u, i, memory)
 
     def shifted(self, n: int) -> "AffinePolicy":

@@ -198,7 +198,9 @@ class _Trials(eqx.Module):
         )
         targets = [m.targets for m in marks if m is not None and len(m.targets)]
         discs = [m.obstacles for m in marks if m is not None and len(m.obstacles)]
-        hands = jax.vmap(mover.hand)(trial.xs) if isinstance(mover, AbstractHand) else None
+        # The whole path where obstacles may be met, else its end alone.
+        seen = trial.xs if discs else trial.xs[-1:]
+        hands = jax.vmap(mover.hand)(seen) if isinstance(mover, AbstractHand) else None
         without = trial.cost
         if discs:
             rest = eqx.tree_at(lambda p: (p.cost, p.plant), problem, (SumCost(clear), mover))

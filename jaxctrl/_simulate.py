@@ -13,7 +13,7 @@ from ._checks import check_again, converted, is_concrete
 from ._controller import AbstractController, AffinePolicy, OpenLoop
 from ._function import closed
 from ._jit import jit
-from ._linalg import root
+from ._linalg import matmul, root
 from ._noise import AbstractNoise, diffusion
 from ._plant import AbstractPlant
 from ._problem import Problem, check_x0
@@ -164,11 +164,13 @@ def check_key(key) -> None:
 @jit
 def _run(problem: Problem, controller, plant, noise, pulses, x0, belief, key) -> Trajectory:
     T, scale = problem.num_steps, jnp.sqrt(problem.rate)
-    if key is None:
-        start_key, keys = None, None
-    else:
+    start_key, keys, xis = None, None, None
+    if key is not None:
         start_key, steps_key = jax.random.split(key)
-        keys = jax.random.split(steps_key, T)
+        pairs = jax.vmap(jax.random.split)(jax.random.split(steps_key, T))
+        keys = pairs[:, 1]
+        if noise is not None:
+            xis = _draws(noise, plant, problem, x0, pairs[:, 0])
         if problem.x0_cov is not None:
             xi = jax.random.normal(jax.random.fold_in(start_key, 0), x0.shape, x0.dtype)
             x0 = x0 + root(problem.x0_cov) @ xi
@@ -176,28 +178,35 @@ def _run(problem: Problem, controller, plant, noise, pulses, x0, belief, key) ->
 
     def body(carry, inputs):
         x, memory = carry
-        i, t, key, pulse = inputs
-        noise_key, control_key = (None, None) if key is None else jax.random.split(key)
+        i, t, key, xi, pulse = inputs
         y = x if pulse.sensed is None else x + pulse.sensed
-        memory, u = controller.step(memory, y, i, t, control_key)
+        memory, u = controller.step(memory, y, i, t, key)
         pushed = plant if pulse.forces is None else Pushed(plant, pulse.forces)
         after = problem.integrator(pushed, x, u, t, problem.dt)
         if pulse.states is not None:
             after = after + pulse.states
-        if noise is not None and noise_key is not None:
-            F = diffusion(noise, plant, x, u, t)
-            xi = jax.random.normal(noise_key, F.shape[1:], F.dtype)
-            after = after + scale * F @ xi
+        if noise is not None and xi is not None:
+            after = after + scale * matmul(diffusion(noise, plant, x, u, t), xi)
         return (after, memory), (after, u, y)
 
     # A time step that was traced until now may be what no eager check could refuse.
     x0 = jnp.where(problem.dt > 0, x0, jnp.nan)
     carry = (x0, controller.init(problem, belief, start_key))
-    inputs = (jnp.arange(T), problem.ts[:-1], keys, pulses)
+    inputs = (jnp.arange(T), problem.ts[:-1], keys, xis, pulses)
     _, (xs, us, ys) = jax.lax.scan(body, carry, inputs)
     xs = jnp.concatenate([x0[None], xs])
     moved = eqx.tree_at(lambda p: p.plant, problem, plant)
     return Trajectory(problem.ts, xs, us, ys, moved.stage_costs(xs, us))
+
+
+def _draws(noise: AbstractNoise, plant, problem: Problem, x0, keys) -> Float[Array, "T nw"]:
+    """Return xi ~ N(0, I) of every step, each from its own key.
+
+    Not within the scan: there XLA draws one number after the other, here many at a time.
+    """
+    u, t = jnp.zeros(problem.plant.nu, x0.dtype), problem.ts[0]
+    F = jax.eval_shape(lambda: diffusion(noise, plant, x0, u, t))
+    return jax.vmap(lambda key: jax.random.normal(key, F.shape[1:], F.dtype))(keys)
 
 
 def _check_step(problem: Problem, controller: AbstractController, belief, key) -> None:

@@ -20,6 +20,7 @@ def problem(noise=None, num_steps=40, dt=0.025, **arguments):
 
 
 X0 = jnp.array([1.0, 0.0])
+KEY = jax.random.key(4)
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +117,16 @@ def test_noise_of_a_discrete_plant_is_per_step():
 def test_fraction_and_interval_give_the_intensity():
     noise = jc.SignalDependentNoise.from_fraction(0.2, 0.01)
     np.testing.assert_allclose(noise.intensity, 0.02, rtol=1e-12)
+
+
+def test_each_step_draws_its_noise_from_a_key_of_its_own():
+    noisy, us = problem(jc.AdditiveNoise(np.diag([0.1, 0.2]))), jnp.ones((40, 1))
+    trial = jc.simulate(noisy, jc.OpenLoop(us), X0, key=KEY)
+    x = X0
+    for i, step_key in enumerate(jax.random.split(jax.random.split(KEY)[1], 40)):
+        xi = jax.random.normal(jax.random.split(step_key)[0], (2,))
+        x = x + 0.025 * noisy.plant(x, us[i], 0.0) + 0.025**0.5 * jnp.array([0.1, 0.2]) * xi
+        np.testing.assert_allclose(trial.xs[i + 1], x, rtol=1e-12)
 
 
 def test_same_key_gives_the_same_trial_and_vmap_equals_a_loop(solution):

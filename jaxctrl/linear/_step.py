@@ -140,7 +140,10 @@ def pack(noise: Noise, shape: tuple[int, ...]) -> Packed:
     Arguments: the noise, and the numbers of states and controls, (nx, nu).
     """
     c, cx, cu, rows = noise
-    square = 0.5 * jnp.sum(c[..., :, None] * c[..., None, :], axis=-3)
+    # Column by column: XLA hands one sum over all steps to a library, and a loop with a call to
+    # one does not become one function.
+    columns = [c[..., i, :, None] * c[..., i, None, :] for i in range(c.shape[-2])]
+    square = 0.5 * sum(columns, jnp.zeros((*c.shape[:-2], c.shape[-1], c.shape[-1]), c.dtype))
     if cx is None and cu is None:
         return Packed(square, None, None, None)
     lead = (cx if cu is None else cu).shape[:-1]  # pyright: ignore[reportOptionalMemberAccess]

@@ -5,6 +5,8 @@ import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+from jaxctrl.bench._bars import held
+
 from .build import LABELS
 
 Record = dict[str, Any]
@@ -96,23 +98,11 @@ class Figures:
         return min(filter(None, kinds), key=lambda r: r["total_ms"], default=None)
 
 
-def verdict(value: float | None, bar: float, least: bool = False) -> str:
-    """Say whether a figure is within its bar, which is the least or the most it may be."""
-    if value is None or math.isnan(value):
-        return "not measured"
-    return "met" if (value >= bar if least else value <= bar) else "MISSED"
-
-
 def bars(figures: Figures, names: Sequence[str], restarts: int) -> Iterator[Record]:
     """Yield each bar of the problems in `names` with the figure that is held to it."""
 
     def row(what, problem, record, value, bar, least=False):
-        by = "-" if record is None else record["solver"]
-        yes = verdict(value, bar, least)
-        return {
-            "what": what, "problem": problem, "by": by, "figure": value, "bar": bar,
-            "least": least, "verdict": yes,
-        }  # fmt: skip
+        return held(what, problem, "-" if record is None else record["solver"], value, bar, least)
 
     def ratio(record, key, other, other_key):
         return None if record is None or other is None else record[key] / other[other_key]
@@ -126,10 +116,10 @@ def bars(figures: Figures, names: Sequence[str], restarts: int) -> Iterator[Reco
         for name in filter(limits.get, names):
             record, other = figures.fastest(mode, name), figures.get("single", "peer", name, peer)
             value = None if record is None or other is None else ms(record) / ms(other)
-            held = row(what, name, record, value, limits[name])
+            shown = row(what, name, record, value, limits[name])
             # Figures there are, but none of a solve that converged to the best cost.
             failed = record is None and figures.ours("single", mode, name)
-            yield {**held, "verdict": "MISSED"} if failed else held
+            yield {**shown, "verdict": "MISSED"} if failed else shown
     for name in filter(RESTARTS.get, names):
         record, (unit, bar) = figures.restarted(name), RESTARTS[name]
         other, key = figures.crocoddyl_restarts(name), "total_ms"

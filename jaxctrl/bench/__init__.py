@@ -6,7 +6,7 @@ programs and their suite are in benchmarks/peers of the repository.
 """
 
 SUITES = {
-    "thesis": "Table 4.1: ILQR beside the thesis's rivals, with its claims",
+    "thesis": "Table 4.1: ILQR beside the thesis's rivals, with its claims; times under noise",
     "peers": "Single solves, restarts and gradients beside compiled programs and their bars",
     "scaling": "Time over horizon, links and batch size, for both dtypes",
     "problems": "Every problem of the library by ILQR and DDP",

@@ -21,6 +21,10 @@ WORDS = (
     "note",
     "system",
 )
+UNDER_NOISE = (
+    "Six muscles under noise, warm, on one core (reaches inside jitted calls; trials and the batch "
+    "called from Python)"
+)
 FAR = 1e-3
 """A cost is called worse from so far, relatively, above the best."""
 MEMORY_BAR = 4096.0
@@ -79,7 +83,11 @@ def worse(record: Record, best: float | None) -> str:
     return f"worse by {100 * (cost / best - 1):.3g} %"
 
 
-def singles(records: Sequence[Record], best: dict[str, float]) -> str:
+def singles(
+    records: Sequence[Record], best: dict[str, float],
+    title: str = "One solve, warm, inside one jitted call, on one core (cpu ms: processor time; "
+    "eager: that of a call from Python; first calls compile, on all cores)",
+) -> str:  # fmt: skip
     """Return the table of all single solves of a suite."""
     heads = (
         "problem", "solver", "flags", "dtype", "ms", "10-90 %", "cpu ms", "eager",
@@ -102,10 +110,6 @@ def singles(records: Sequence[Record], best: dict[str, float]) -> str:
                 text(each, ".4f"), text(r.get("cost"), ".7e"), "; ".join(filter(None, notes)),
             ]
         )  # fmt: skip
-    title = (
-        "One solve, warm, inside one jitted call, on one core (cpu ms: processor time; eager: that "
-        "of a call from Python; first calls compile, on all cores)"
-    )
     return table(title, [heads, *rows])
 
 
@@ -201,6 +205,7 @@ def summary(rows: Sequence[Record], held: Sequence[Record], best: dict[str, floa
     order: dict[str, Callable[[list[Record]], str]] = {
         "table": lambda r: table("Table 4.1", r[0]["rows"]),
         "single": lambda r: singles(_in_order(r), best),
+        "noise": lambda r: singles(r, {}, UNDER_NOISE),
         "batch": batches, "restarts": restarts, "gradients": gradients,
         "claim": _claims,
     }  # fmt: skip

@@ -36,7 +36,8 @@ def jobs(suite: str, quick: bool, peers: bool) -> list[Job]:
 
 
 def _thesis(base: dict[str, Any], quick: bool) -> list[Job]:
-    return [Job(base, None)]
+    noise = {**base, "part": "noise"}
+    return [Job({**base, "part": "table"}, None), Job(noise, noise)]
 
 
 def _peers(base: dict[str, Any], quick: bool) -> list[Job]:

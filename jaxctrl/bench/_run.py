@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from . import _files, _judgement, _layout, _peers, _plans
+from . import _bars, _files, _judgement, _layout, _peers, _plans
 
 # What a user may have set that would change what is measured.
 UNSET = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "JAX_ENABLE_X64", "JAX_NUM_CPU_DEVICES")
@@ -105,7 +105,10 @@ class Session:
             bars.add_success(mine, best)
             names = list(dict.fromkeys(row["problem"] for row in mine))
             held = list(bars.bars(bars.Figures(mine), names, jobs[0].orders["restarts"]))
-            self.run["bars"] = held
+        elif suite == "thesis":
+            held = list(_bars.of_noise(mine))
+        if held:
+            self.run.setdefault("bars", []).extend(held)
         self.show(_layout.summary(mine, held, best))
         self.write()
 

@@ -1,13 +1,16 @@
-"""Table 4.1 comes from its experiment, whatever that finds."""
+"""Table 4.1 comes from its experiment, whatever that finds; what is timed under noise has bars."""
 
 from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
 
+import jaxctrl as jc
 from jaxctrl import experiments
-from jaxctrl.bench import _layout, _thesis
+from jaxctrl.bench import _bars, _layout, _plans, _thesis, _under_noise
 from jaxctrl.experiments._result import Claim
 
 
@@ -54,7 +57,7 @@ class Kept(list):
 
 def test_the_table_and_its_claims_are_shown(table):
     kept = Kept()
-    _thesis.run({"quick": True}, kept)
+    _thesis.run({"quick": True, "part": "table"}, kept)
     shown = _layout.summary(kept, [], {})
     assert "Table 4.1" in shown and "torque   0.2 s" in shown
     assert (
@@ -73,5 +76,54 @@ def test_an_experiment_that_fails_is_a_failed_measurement(table):
 
     table.run = fail
     kept = Kept()
-    _thesis.run({"quick": True}, kept)
+    _thesis.run({"quick": True, "part": "table"}, kept)
     assert [row["section"] for row in kept] == ["failure"] and kept[0]["reason"] == "no"
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Let a point on a line reach under noise, in place of the arm: it compiles in a moment."""
+
+    def reaches(noise):
+        def reach(goal):
+            plant = jc.FunctionPlant(lambda x, u, t: u - x**3, nx=1, nu=1)
+            cost = jc.QuadraticCost(R=0.1, Qf=1.0, target=goal)
+            many = None if noise is None else jc.SignalDependentNoise(noise)
+            return jc.Problem(plant, cost, num_steps=5, dt=0.1, noise=many)
+
+        return jax.vmap(reach)(jnp.linspace(-1.0, 1.0, 16)[:, None]), jnp.ones(1)
+
+    monkeypatch.setattr(_under_noise, "reaches", reaches)
+
+
+@pytest.mark.slow  # seven programs are compiled
+def test_what_is_timed_under_noise_is_held_to_its_bars(small):
+    kept = Kept()
+    orders = next(job.orders for job in _plans.jobs("thesis", True, False)[1:])
+    _thesis.run({**orders, "rounds": 3}, kept)
+    assert [row["section"] for row in kept] == ["noise"] * 7
+    assert all(row["ok"] for row in kept if "ok" in row)
+    cut = {row["solver"]: row["iterations"] for row in kept if row["problem"] == _bars.CUT}
+    assert cut == {"ILQR": 1, "ILQG": 1}
+    held = list(_bars.of_noise(kept))
+    assert all(bar["figure"] > 0 for bar in held[1:])
+    shown = _layout.summary(kept, held, {})
+    assert "1000 trials" in shown and "one iteration, ILQG / ILQR" in shown
+
+
+def test_bars_under_noise_are_differences_and_ratios_of_processor_times():
+    def row(problem, solver, cpu_ms, **more):
+        names = {"section": "noise", "problem": problem, "solver": solver}
+        return names | {"timing": {"cpu_ms": cpu_ms, "ms": 1e3}} | more
+
+    rows = [
+        row(_bars.REACH, "ILQR", 5.0, iterations=5), row(_bars.CUT, "ILQR", 1.0),
+        row(_bars.REACH, "ILQG", 14.0, iterations=7), row(_bars.CUT, "ILQG", 2.0),
+        row(_bars.TRIALS, "evaluate", 61.0),
+        row(_bars.BATCH, "ILQG", 30.0), row(_bars.LOOP, "ILQG", 32.0),
+    ]  # fmt: skip
+    held = list(_bars.of_noise(rows))
+    assert [bar["figure"] for bar in held] == [2.0, 61.0, 15.0]
+    assert [bar["verdict"] for bar in held] == ["met", "MISSED", "met"]
+    missing = list(_bars.of_noise(rows[1:5]))
+    assert [bar["verdict"] for bar in missing] == ["not measured", "MISSED", "not measured"]

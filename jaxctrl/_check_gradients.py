@@ -36,7 +36,7 @@ TRIFLE = 1e-6
 """The relative error below which no kink is looked for."""
 OUTPUTS = ("cost", "xs[-1]", "us", "gains", "closed loop", "covariance")
 """Of a solver without a prediction, the first five."""
-STOCHASTIC = {"gradient_tolerance": 1e-9, "cost_tolerance": 1e-14, "step_tolerance": 1e-10}
+STOCHASTIC = {"gradient_tolerance": 1e-11, "cost_tolerance": 1e-14, "step_tolerance": 1e-10}
 """Tolerances of a stochastic solver's tight solves, which end at its own point of rest."""
 
 

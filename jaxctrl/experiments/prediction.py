@@ -29,8 +29,8 @@ CASES = {
     "muscle": "muscle arm",
     "muscle, unclipped": "muscle arm, unclipped",
 }
-INTENSITIES = (0.005, 0.01, 0.02, 0.03, 0.05)
-"""Motor noise [s^(1/2)]; 0.05 is half of each control over 10 ms."""
+FACTORS = (0.25, 0.5, 1.0, 1.5, 2.5)
+"""Motor noise in units of that of the other figures; 0.05 s^(1/2) is half of a control in 10 ms."""
 LIMIT = 0.05
 """How far prediction and trials may be apart, relatively."""
 SURE = 3.0
@@ -38,22 +38,18 @@ SURE = 3.0
 
 
 @dataclass(frozen=True)
-class Config:
-    """Settings: radius [m], duration [s], steps, directions, how many of the intensities, trials
-    of each movement, and seed."""
+class Config(shared.Reaches):
+    """Settings of the reaches, where `motor_noise` is what the factors multiply; number of factors,
+    trials of each movement, and seed."""
 
-    radius: float = 0.1
-    duration: float = 0.5
-    num_steps: int = 50
-    directions: int = 8
-    intensities: int = len(INTENSITIES)
+    factors: int = len(FACTORS)
     trials: int = 4000
     seed: int = 0
 
     @classmethod
     def quick(cls) -> "Config":
         """Return settings with one direction and few trials."""
-        return cls(directions=1, intensities=3, trials=400)
+        return cls(directions=1, factors=3, trials=400)
 
 
 class Row(NamedTuple):
@@ -73,7 +69,7 @@ class Row(NamedTuple):
 
 def run(config: Config) -> Result:
     """Plan at every intensity with both arms, and try out; arrays lead with case and intensity."""
-    sigma = np.array(INTENSITIES[: config.intensities])
+    sigma = config.motor_noise * np.array(FACTORS[: config.factors])
     rows, failures = [], []
     for kind, arm in (("torque", jc.plants.TorqueArm()), ("muscle", jc.plants.MuscleArm())):
         problems, found = _plan(arm, sigma, config)
@@ -98,11 +94,7 @@ def run(config: Config) -> Result:
         coords={
             "case": ("case", list(CASES), {"long_name": "arm"}),
             "intensity": ("intensity", sigma, named("motor noise", "s^(1/2)")),
-            "direction": (
-                "direction",
-                np.degrees(shared.angles(config.directions)),
-                named("direction", "degree"),
-            ),
+            "direction": config.coordinates()["direction"],
         },
     )
     return Result(data, config, "; ".join(failures))
@@ -110,19 +102,11 @@ def run(config: Config) -> Result:
 
 def _plan(arm, sigma: np.ndarray, config: Config):
     """Return the problems and their solutions, both led by (intensity * direction)."""
-    x0 = arm.at_rest(*shared.START)
-
-    def reaches(intensity):
-        return jc.tasks.centre_out(
-            arm, x0, n=config.directions, radius=config.radius, duration=config.duration,
-            num_steps=config.num_steps, motor_noise=intensity,
-        )  # fmt: skip
-
-    each = [reaches(float(intensity)) for intensity in sigma]
+    each = [config.problems(arm, motor_noise=float(intensity)) for intensity in sigma]
     problems = jax.tree.map(
         lambda *leaves: jnp.concatenate(leaves) if eqx.is_array(leaves[0]) else leaves[0], *each
     )
-    return problems, jc.solve_batch(problems, jc.ILQG(), x0)
+    return problems, jc.solve_batch(problems, jc.ILQG(), arm.at_rest(*shared.START))
 
 
 def _row(arm, problems, found: jc.Solution, policies, config: Config) -> Row:

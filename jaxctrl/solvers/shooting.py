@@ -364,14 +364,17 @@ class AbstractShooting(AbstractMinimiser):
         """Return the last trajectory, xs (T+1, nx) and us (T, nu), and the gains around it.
 
         Without noise the policy reproduces that trajectory: the step that the sweep would take
-        next is not part of it. Of a stochastic solver that did not converge, the best pair met.
+        next is not part of it. Of a stochastic solver that did not come to rest, the best pair met.
         """
         last = Found(state.xs, state.us, state.sweep.K, state.side, state.gradient)
         if state.polish is None:
             return last
         best = state.polish.best
         kept = Found(best.xs, best.us, best.K, best.side, best.gradient)
-        worse = ~state.status.ok & jnp.isfinite(best.cost)
+        # At rest by the usual measure it is what was looked for, if a tighter one was asked for.
+        rest = state.gradient <= Tolerances().resolve(state.cost.dtype)[0]
+        rest &= state.sweep.ok & state.sweep.settled
+        worse = ~state.status.ok & ~rest & jnp.isfinite(best.cost)
         return jax.tree.map(lambda a, b: jnp.where(worse, a, b), kept, last)
 
     def gains(self, problem, xs, us, side):

@@ -13,8 +13,8 @@ import pytest
 from ipykernel.kernelspec import write_kernel_spec
 from nbclient import NotebookClient
 
-# Its models have tests of their own.
-SLOW = {"02_theories"}
+# The models and the solver that they show have tests of their own.
+SLOW = {"02_theories", "03_feedback"}
 FOLDER = Path(__file__).parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 

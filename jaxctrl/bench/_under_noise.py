@@ -100,6 +100,7 @@ def directions(orders: dict[str, Any], emit: Emitter) -> None:
         emit(
             "noise", problem=name, solver="ILQG",
             iterations=int(sum(np.sum(solution.num_steps) for solution in found)),
+            cost=float(np.mean([np.mean(solution.cost) for solution in found])),
             ok=all(np.all(solution.status.ok) for solution in found), **figures,
         )  # fmt: skip
 

@@ -8,6 +8,7 @@ from test_riccati import random_model
 
 from jaxctrl._types import Noise
 from jaxctrl.linear import box_lqr, evaluate, lqr, lqr_rollout
+from jaxctrl.linear._step import pack
 
 NX, NU, T = 4, 2, 6
 
@@ -174,3 +175,16 @@ def test_joseph_s_form_keeps_in_float32_what_the_short_form_loses():
     with jax.enable_x64(False):
         found = gains(jnp.float32)
     assert np.abs(found - exact).max() <= 2e-4 * np.abs(exact).max()
+
+
+def test_the_noise_of_all_steps_is_packed_without_calls_to_a_library():
+    """A loop with such a call in it would not become one function on a CPU."""
+
+    def squares(c):
+        return pack(Noise(c), (10, 6)).square
+
+    c = jnp.asarray(np.random.default_rng(0).normal(size=(50, 6, 10)))
+    program = jax.jit(squares).lower(c).compile().as_text()
+    assert "kCustom" not in program and "custom-call" not in program
+    np.testing.assert_allclose(squares(c), 0.5 * jnp.einsum("tix,tiy->txy", c, c), atol=1e-12)
+    assert squares(c[:, :0]).shape == (50, 10, 10)

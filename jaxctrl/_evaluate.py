@@ -38,6 +38,7 @@ class Evaluation(eqx.Module):
         costs_without_obstacles: the cost of each trial without what obstacles add, (n,). With
             them the expectation may be infinite: what an `Obstacle` adds has no finite mean under
             any spread that reaches its rim.
+        key: the data of the key that all trials share.
     """
 
     costs: Float[Array, " n"]
@@ -46,11 +47,12 @@ class Evaluation(eqx.Module):
     misses: Float[Array, " n"] | None
     collided: Array | None
     costs_without_obstacles: Float[Array, " n"]
+    key: Array | None = None
 
     @property
     def cost(self) -> Float[Array, ""]:
         """The mean cost, shape ()."""
-        return jnp.mean(self.costs)
+        return jnp.mean(self.costs, axis=-1)
 
     @property
     def cost_error(self) -> Float[Array, ""]:
@@ -60,42 +62,55 @@ class Evaluation(eqx.Module):
     @property
     def end_mean(self) -> Float[Array, " nx"]:
         """The mean of the last state, shape (nx,)."""
-        return jnp.mean(self.ends, axis=0)
+        return jnp.mean(self.ends, axis=-2)
 
     @property
     def end_cov(self) -> Float[Array, "nx nx"]:
         """The covariance of the last state, shape (nx, nx)."""
-        return jnp.cov(self.ends, rowvar=False)
+        return _cov(self.ends)
 
     @property
     def hand_mean(self) -> Float[Array, " dim"]:
         """The mean of the hand's last position [m], shape (dim,)."""
-        return jnp.mean(_wanted(self.hands, "hand"), axis=0)
+        return jnp.mean(_wanted(self.hands, "hand"), axis=-2)
 
     @property
     def hand_cov(self) -> Float[Array, "dim dim"]:
         """The covariance of the hand's last position [m^2], shape (dim, dim)."""
-        return jnp.cov(_wanted(self.hands, "hand"), rowvar=False)
+        return _cov(_wanted(self.hands, "hand"))
 
     @property
     def collisions(self) -> Float[Array, ""]:
         """The fraction of trials in which the hand met an obstacle, shape ()."""
-        return jnp.mean(_wanted(self.collided, "obstacle"))
+        return jnp.mean(_wanted(self.collided, "obstacle"), axis=-1)
 
     def hits(self, tolerance: ArrayLike) -> Float[Array, ""]:
         """Return the fraction of trials that end within a tolerance [m] of a target, shape ()."""
-        return jnp.mean(_wanted(self.misses, "target") <= tolerance)
+        return jnp.mean(_wanted(self.misses, "target") <= tolerance, axis=-1)
 
     def difference(self, other: "Evaluation") -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Return by how much this costs more than another, and the standard error of that.
 
-        Both of the same key and number of trials: trial by trial they met the same noise.
+        Both of the same key and number of trials: trial by trial they met the same noise. A 95 %
+        interval is the difference +- 1.96 of its standard errors.
+
+        Raises TypeError for what is no evaluation, and ValueError for one of another number of
+        trials, or, where they are known, of another key.
         """
+        if not isinstance(other, Evaluation):
+            raise TypeError(f"other: an Evaluation is wanted, got {type(other).__name__}")
+        if self.costs.shape != other.costs.shape:
+            raise ValueError(
+                f"other: {other.costs.shape} trials, wanted {self.costs.shape} under the same noise"
+            )
+        own, theirs = self.key, other.key
+        if is_concrete(own, theirs) and not np.array_equal(np.asarray(own), np.asarray(theirs)):
+            raise ValueError("other: its trials had another key, and so another noise")
         difference = self.costs - other.costs
-        return jnp.mean(difference), _error(difference)
+        return jnp.mean(difference, axis=-1), _error(difference)
 
     def __str__(self) -> str:
-        if not is_concrete(self.costs):
+        if not is_concrete(self.costs) or self.costs.ndim > 1:
             return eqx.tree_pformat(self)
         lines = [
             f"Evaluation of {self.costs.size} trials",
@@ -115,7 +130,12 @@ class Evaluation(eqx.Module):
 
 
 def _error(values: Float[Array, " n"]) -> Float[Array, ""]:
-    return jnp.std(values, ddof=1) / jnp.sqrt(values.size)
+    return jnp.std(values, ddof=1, axis=-1) / jnp.sqrt(values.shape[-1])
+
+
+def _cov(values: Float[Array, "*batch n m"]) -> Float[Array, "*batch m m"]:
+    around = values - jnp.mean(values, axis=-2, keepdims=True)
+    return around.mT @ around / (values.shape[-2] - 1)
 
 
 def _wanted(values: Array | None, what: str) -> Array:
@@ -171,7 +191,12 @@ def _evaluate(problem, controller, x0, key, trials, plant, noise) -> Evaluation:
     job = _Trials(problem, controller, jnp.asarray(x0), key, plant, noise)
     concrete = is_concrete(*jax.tree.leaves(eqx.filter(job, eqx.is_array)))
     devices = tuple(jax.devices()[:trials]) if concrete else tuple(jax.devices()[:1])
-    return _run(job, trials, devices)
+    found = _run(job, trials, devices)
+    typed = jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
+    return eqx.tree_at(
+        lambda e: e.key, found, jax.random.key_data(key) if typed else key,
+        is_leaf=lambda leaf: leaf is None,
+    )  # fmt: skip
 
 
 class _Trials(eqx.Module):

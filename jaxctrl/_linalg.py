@@ -86,16 +86,23 @@ def root(S: Float[Array, "n n"]) -> Float[Array, "n n"]:
 
     Where what is left of a diagonal entry is round-off the column is zero.
     """
-    index, size = jnp.arange(S.shape[0]), jnp.max(jnp.diagonal(S), initial=0.0)
+    index, size = jnp.arange(S.shape[0]), jnp.diagonal(S)
 
     def column(S, j):
         pivot = S[j, j]
-        positive = pivot > S.shape[0] * jnp.finfo(S.dtype).eps * size
+        positive = pivot > S.shape[0] * jnp.finfo(S.dtype).eps * size[j]
         scale = jnp.where(positive, 1 / jnp.sqrt(jnp.where(positive, pivot, 1.0)), 0.0)
         l = jnp.where(index >= j, S[:, j] * scale, 0.0)
         return S - l[:, None] * l, l
 
     return jax.lax.scan(column, S, index)[1].T
+
+
+def is_covariance(S: Float[Array, "n n"]) -> Bool[Array, ""]:
+    """Tell whether S is symmetric and positive semidefinite, but for rounding; shape ()."""
+    L, size = root(S), jnp.sqrt(jnp.maximum(jnp.diagonal(S), 0.0))
+    off = jnp.abs(matmul(L, L.T) - S)
+    return (off <= jnp.finfo(S.dtype).eps ** 0.5 * size[:, None] * size).all()
 
 
 @jax.custom_jvp

@@ -49,13 +49,17 @@ def expand(
     rho, added, squared = _residual_terms(problem, zs, ts)
     lz, lzz = lz + added, lzz + squared
 
+    disturbance = _noise_terms(problem, zs, ts) if noise else None
+    if disturbance is not None and problem.terms.residuals:
+        disturbance = _weighed(disturbance, slice(None), _after_terms(problem, zs, ts))
     weights = []
     for group in problem.terms.events:
-        k, z_gradient, z_hessian, weight = _event_terms(problem, group, xs, fz)
+        k, z_gradient, z_hessian, weight, between = _event_terms(problem, group, xs, fz)
         lz = lz.at[k].add(z_gradient)
         lzz = lzz.at[k].add(z_hessian)
         weights.append((k, weight))
-    disturbance = _noise_terms(problem, zs, ts) if noise else None
+        if disturbance is not None:
+            disturbance = _weighed(disturbance, k, between)
     model = _blocks(fz, lz, lzz, vx, vxx, disturbance)
     if second_order is False:
         return model
@@ -92,6 +96,25 @@ def _noise_terms(problem: Problem, zs, ts) -> Noise | None:
     cx = slopes[..., :nx] if pattern[..., :nx].any() else None
     cu = slopes[..., nx:] if pattern[..., nx:].any() else None
     return Noise(c, cx, cu, None if cx is None and cu is None else rows)
+
+
+def _weighed(noise: Noise, k, weight) -> Noise:
+    """Return the noise with a weight (m, nx, nx) added in steps k (m,)."""
+    T, _, nx = noise.c.shape
+    before = jnp.zeros((T, nx, nx), noise.c.dtype) if noise.weight is None else noise.weight
+    return noise._replace(weight=before.at[k].add(weight))
+
+
+def _after_terms(problem: Problem, zs, ts) -> Float[Array, "T nx nx"]:
+    """Return J'J of each step, J the residuals' Jacobian in the state after the step alone."""
+    nx = problem.plant.nx
+
+    def residual(after, z, i):
+        return problem.residual(z[:nx], z[nx:], after, i)
+
+    after = jax.vmap(lambda z, t: problem.step(z[:nx], z[nx:], t))(zs, ts)
+    slopes = jax.vmap(jacobian(residual))(after, zs, jnp.arange(len(zs)))
+    return jnp.einsum("tmx,tmy->txy", slopes, slopes)
 
 
 def _rows(sloping: np.ndarray) -> Rows | None:
@@ -152,7 +175,7 @@ def _residual_terms(problem: Problem, zs, ts):
 
 
 def _event_terms(problem: Problem, group, xs, fz):
-    """Return each event's step, its gradient and Hessian in z, and its weight on x_{k+1}."""
+    """Return each event's step, its gradient and Hessian in z, and both in x_{k+1}."""
     k, _, states = problem.event_values(group, xs)
     _, fraction = problem.event_steps(group.times)
     index = jnp.arange(k.size)
@@ -167,7 +190,8 @@ def _event_terms(problem: Problem, group, xs, fz):
     jacobian = (1 - fraction)[:, None, None] * here + fraction[:, None, None] * fz[k]
     z_gradient = jnp.einsum("mxz,mx->mz", jacobian, slope)
     z_hessian = jnp.einsum("mxz,mxy,myw->mzw", jacobian, hessian, jacobian)
-    return k, z_gradient, z_hessian, fraction[:, None] * slope
+    own = fraction[:, None, None] ** 2 * hessian
+    return k, z_gradient, z_hessian, fraction[:, None] * slope, own
 
 
 def _blocks(fz, lz, lzz, vx, vxx, noise) -> LocalModel:

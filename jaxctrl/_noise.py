@@ -40,6 +40,12 @@ class SumNoise(AbstractNoise):
 
     parts: tuple[AbstractNoise, ...]
 
+    def __check_init__(self):
+        wrong = [part for part in self.parts if not isinstance(part, AbstractNoise)]
+        if wrong or not self.parts:
+            got = repr(wrong[0]) if wrong else "none"
+            raise TypeError(f"SumNoise: a tuple of noises is wanted, got {got}")
+
     def __call__(self, plant, x, u, t):
         """Return the columns of all parts, in order, shape (nx, nw)."""
         return jnp.concatenate([diffusion(part, plant, x, u, t) for part in self.parts], axis=1)
@@ -108,8 +114,22 @@ class SignalDependentNoise(AbstractNoise):
     def from_fraction(cls, fraction: ArrayLike, interval: ArrayLike) -> "SignalDependentNoise":
         """Return the noise whose SD is `fraction` of the control when held for `interval` [s].
 
-        sigma = fraction sqrt(interval): 20 % over 10 ms is 0.02 s^(1/2). Scalars or shape (nu,).
+        sigma = fraction sqrt(interval): 20 % over 10 ms is 0.02 s^(1/2), as
+        `from_fraction(0.2, interval=0.01)`. Scalars or shape (nu,).
+
+        Raises ValueError for an interval that is not above zero, or above 1 s, and for a fraction
+        above 10, which is likely per cent.
         """
+        for name, number, most in (("fraction", fraction, 10.0), ("interval", interval, 1.0)):
+            values = known(number)
+            if values is not None and (values > most).any():
+                raise ValueError(
+                    f"{name}: at most {most:g} is wanted, got {number}; 20 % over "
+                    "10 ms is from_fraction(0.2, interval=0.01)"
+                )
+        seconds = known(interval)
+        if seconds is not None and not (seconds > 0).all():
+            raise ValueError(f"interval: a time above 0 s is wanted, got {interval}")
         return cls(jnp.asarray(fraction) * jnp.sqrt(interval))
 
     def __call__(self, plant, x, u, t):

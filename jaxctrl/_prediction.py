@@ -13,7 +13,9 @@ from .linear._riccati import evaluate
 class Prediction(eqx.Module):
     """Means and covariances of a movement under a policy, by the model around its nominal one.
 
-    Exact for a linear plant with quadratic costs; elsewhere to first order in the noise's variance.
+    Exact for a linear plant with quadratic costs and no bounds; elsewhere to first order in the
+    noise's variance. That controls are clipped at their bounds is not in the model: where feedback
+    would often leave them, trials cost and scatter more than predicted (`jc.evaluate` tells).
 
     Attributes:
         xs, us: means, shapes (T+1, nx) and (T, nu): the nominal movement.

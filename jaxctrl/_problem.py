@@ -11,7 +11,7 @@ from ._function import closed
 from ._integrate import AbstractIntegrator, Euler, NextState
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant, check_plant, nominal_control
-from ._terms import AbstractCost, At, Events, Terms, check, terms
+from ._terms import AbstractCost, At, Events, Terms, check, parts, terms
 from ._types import Bounds, array_leaf, as_bounds, clip
 
 
@@ -107,6 +107,7 @@ class Problem(eqx.Module):
                     f"control_bounds: lower <= upper is wanted, got {lower[step, i]} > "
                     f"{upper[step, i]} for control {i}"
                 )
+        _check_obstacles(self.cost)
         for group in terms(self.cost).events:
             times = group.times
             if is_concrete(times, self.dt):
@@ -125,11 +126,14 @@ class Problem(eqx.Module):
                 f"problem: a batch, its dt has shape {self.dt.shape}; it goes through jax.vmap"
             )
 
-    def __add__(self, cost: AbstractCost) -> "Problem":
-        """Return the problem with a further cost, such as an obstacle: `task + Obstacle(...)`."""
-        if not isinstance(cost, AbstractCost):
+    def __add__(self, further: AbstractCost | AbstractNoise) -> "Problem":
+        """Return the problem with a further cost, `task + Obstacle(...)`, or a further noise."""
+        if isinstance(further, AbstractNoise):
+            both = closed(further if self.noise is None else self.noise + further)
+            return eqx.tree_at(lambda p: p.noise, self, both, is_leaf=lambda leaf: leaf is None)
+        if not isinstance(further, AbstractCost):
             return NotImplemented
-        problem = eqx.tree_at(lambda p: p.cost, self, self.cost + cost)
+        problem = eqx.tree_at(lambda p: p.cost, self, self.cost + further)
         problem.__check_init__()
         return problem
 
@@ -267,6 +271,25 @@ class Problem(eqx.Module):
         states = xs[k] + fraction[:, None] * (xs[k + 1] - xs[k])
         value = jax.vmap(group.value, in_axes=(None, 0, 0))
         return k, value(self.plant, states, jnp.arange(k.size)), states
+
+
+def _check_obstacles(cost: AbstractCost) -> None:
+    """Raise ValueError where a target of the cost is known to lie inside one of its obstacles."""
+    marks = [getattr(part, "marks", None) for part in parts(cost)]
+    for obstacles in (m.obstacles for m in marks if m is not None):
+        for targets in (m.targets for m in marks if m is not None):
+            if not is_concrete(obstacles, targets) or not len(obstacles) or not len(targets):
+                continue
+            discs, points = np.asarray(obstacles), np.asarray(targets)
+            if discs.ndim != 2 or points.ndim != 2:  # a batch
+                continue
+            gap = np.linalg.norm(points[:, None] - discs[:, :-1], axis=-1) - discs[:, -1]
+            if (gap <= 0).any():
+                i, j = np.argwhere(gap <= 0)[0]
+                raise ValueError(
+                    f"target: lies inside the obstacle, {gap[i, j] + discs[j, -1]:.4g} m from its "
+                    f"centre; its radius is {discs[j, -1]:.4g} m"
+                )
 
 
 def _check_covariance(name: str, covariance: Array | None, n: int) -> None:

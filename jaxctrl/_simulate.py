@@ -13,7 +13,7 @@ from ._checks import check_again, converted, is_concrete
 from ._controller import AbstractController, AffinePolicy, OpenLoop
 from ._function import closed
 from ._jit import jit
-from ._linalg import matmul, root
+from ._linalg import is_covariance, matmul, root
 from ._noise import AbstractNoise, diffusion
 from ._plant import AbstractPlant
 from ._problem import Problem, check_x0
@@ -75,7 +75,7 @@ def simulate(
         pulses: perturbations from outside.
 
     Returns: `Trajectory`; its costs are the problem's, for the plant that really moved. NaN where
-    a traced time step is not above zero.
+    a traced time step is not above zero, or a traced `x0_cov` no covariance.
 
     Raises: ValueError or TypeError, naming the argument, when one does not fit the problem or is
     not finite where that can be known, when `noise` is given without a key, and when the
@@ -173,7 +173,8 @@ def _run(problem: Problem, controller, plant, noise, pulses, x0, belief, key) ->
             xis = _draws(noise, plant, problem, x0, pairs[:, 0])
         if problem.x0_cov is not None:
             xi = jax.random.normal(jax.random.fold_in(start_key, 0), x0.shape, x0.dtype)
-            x0 = x0 + root(problem.x0_cov) @ xi
+            valid = is_covariance(problem.x0_cov)  # where it was traced, no eager check could tell
+            x0 = jnp.where(valid, x0 + root(problem.x0_cov) @ xi, jnp.nan)
     _check_step(problem, controller, belief, start_key)
 
     def body(carry, inputs):

@@ -269,9 +269,9 @@ def run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: i
         (problem, x0, us),
     )
     state, history, count = _iterate(frozen, solver, x0_frozen, us, max_steps)
-    status = _final_status(solver, state)
-    failed = status.code >= int(Reason.NONFINITE_INPUT)
     found = solver.found(frozen, state)
+    status = _final_status(solver, state, found)
+    failed = status.code >= int(Reason.NONFINITE_INPUT)
     found = found._replace(xs=jnp.where(failed, last_finite(found.xs), found.xs))
     cost = solver.record(state).cost
     side = known_sides(frozen, found.us, found.side)
@@ -352,11 +352,11 @@ def _feedback_needed(problem: Problem, found: Found, cost: Array) -> Array:
     return (moved.any() | ~jnp.isfinite(xs).all()) & dearer
 
 
-def _final_status(solver, state) -> Status:
+def _final_status(solver, state, found: Found) -> Status:
     status = solver.status(state)
-    limit = _status.where(
-        solver.near(state), Status.of(Reason.NEARLY_CONVERGED), Status.of(Reason.MAX_STEPS)
-    )
+    # What is returned may be an earlier iterate.
+    near = solver.near(state) & ~(found.gradient > solver.record(state).gradient)
+    limit = _status.where(near, Status.of(Reason.NEARLY_CONVERGED), Status.of(Reason.MAX_STEPS))
     return _status.where(status.is_(Reason.RUNNING), limit, status)
 
 

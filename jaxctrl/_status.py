@@ -42,6 +42,8 @@ class Reason(enum.IntEnum):
     INVALID_TIME_STEP = 23
     STALLED_EXPECTED = 24
     NOISE_TOO_LARGE = 25
+    INVALID_COVARIANCE = 26
+    NONFINITE_NOISE = 27
 
     @property
     def message(self) -> str:
@@ -98,6 +100,10 @@ _MESSAGES = {
     Reason.NONFINITE_DERIVATIVE: "failed: a derivative of the dynamics or of the cost is not "
     "finite at step {index}, where its value is",
     Reason.INVALID_TIME_STEP: "failed: the time step dt is not above zero",
+    Reason.INVALID_COVARIANCE: "failed: x0_cov is no covariance: it is not symmetric, or "
+    "has a negative eigenvalue",
+    Reason.NONFINITE_NOISE: "failed: the noise, or its slope in the state or the control, is not "
+    "finite at step {index} of the trajectory; a norm has no slope at zero",
     Reason.NOISE_TOO_LARGE: "failed: the noise adds over 1/eps times what the start costs without "
     "it, or overflows: no feedback holds it; lower its intensity, or shorten the movement",
     Reason.STALLED_EXPECTED: "not converged: no step lowers the expected cost, and none the "

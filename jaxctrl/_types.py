@@ -98,13 +98,16 @@ class Noise(NamedTuple):
     The xi_i are independent with mean 0 and variance 1; c_i holds the square root of the time step.
     `cx` and `cu` are None where they vanish, as for additive noise. With `rows` they have only the
     r rows of each column that are named there (a muscle's noise has a slope in its own activation
-    alone), where otherwise r = nx.
+    alone), where otherwise r = nx. `weight` W is what the noise w of a step costs within that step,
+    w'W w/2 beside what V_xx after it makes of it: of an event between two states, of a residual of
+    the state after; None for none.
     """
 
     c: Float[Array, "T nw nx"]
     cx: Float[Array, "T nw r nx"] | None = None
     cu: Float[Array, "T nw r nu"] | None = None
     rows: Rows | None = None
+    weight: Float[Array, "T nx nx"] | None = None
 
 
 class Stages(NamedTuple):

@@ -125,8 +125,9 @@ WITHIN = {
     7: ["experiments", "bench"],
 }
 SOLVERS = [
-    "_judging", "_minimiser", "line_search", "_polish", "shooting", "ilqr", "ilqg", "ddp",
-    "_descent",    "conjugate_gradient", "lbfgs", "_hamiltonian", "_collocation", "boundary_value",
+    "_judging", "_damping", "_minimiser", "line_search", "_polish", "shooting", "ilqr", "ilqg",
+    "ddp", "_descent", "conjugate_gradient", "lbfgs", "_hamiltonian", "_collocation",
+    "boundary_value",
 ]  # fmt: skip
 
 

@@ -101,3 +101,26 @@ def test_bad_arguments_are_named(task):
         jc.evaluate(problem, solution, x0, key=KEY)
     with pytest.raises(ValueError, match="x0: got shape"):
         jc.evaluate(problem, policy, x0[:3], key=KEY)
+
+
+def test_a_batch_of_evaluations_has_a_mean_for_each():
+    plant = jc.FunctionPlant(lambda x, u, t: jnp.stack([x[1], u[0]]), nx=2, nu=1)
+    problem = jc.Problem(
+        plant, jc.QuadraticCost(R=0.1, Qf=1.0), num_steps=5, dt=0.1, noise=jc.AdditiveNoise(0.1)
+    )
+    controller, x0 = jc.OpenLoop(jnp.ones((5, 1))), jnp.ones(2)
+
+    def run(key):
+        return jc.evaluate(problem, controller, x0, key=key, trials=20)
+
+    keys = jax.random.split(jax.random.key(0), 3)
+    many, one = jax.vmap(run)(keys), run(keys[1])
+    for name in ("cost", "cost_error", "end_mean", "end_cov"):
+        np.testing.assert_allclose(getattr(many, name)[1], getattr(one, name), rtol=1e-12)
+    np.testing.assert_allclose(one.end_cov, np.cov(one.ends, rowvar=False), rtol=1e-12)
+    with pytest.raises(ValueError, match="another key"):
+        one.difference(run(keys[0]))
+    with pytest.raises(ValueError, match="trials, wanted"):
+        one.difference(jc.evaluate(problem, controller, x0, key=keys[1], trials=10))
+    with pytest.raises(TypeError, match="an Evaluation is wanted"):
+        one.difference(controller)

@@ -160,3 +160,31 @@ def test_starts_are_drawn_from_their_covariance(arm):
     assert (np.abs(products.mean(axis=0) - cov) < 4.5 * error).all()
     assert (np.abs(starts.mean(axis=0) - X) < 4.5 * starts.std(axis=0) / len(keys) ** 0.5).all()
     np.testing.assert_array_equal(jc.simulate(problem, policy, X).xs[0], X)
+
+
+def test_per_cent_and_milliseconds_are_refused():
+    with pytest.raises(ValueError, match="fraction: at most 10"):
+        jc.SignalDependentNoise.from_fraction(20, interval=0.01)
+    with pytest.raises(ValueError, match="interval: at most 1"):
+        jc.SignalDependentNoise.from_fraction(0.2, interval=10)
+    for interval in (0.0, -0.01):
+        with pytest.raises(ValueError, match="interval: a time above 0"):
+            jc.SignalDependentNoise.from_fraction(0.2, interval=interval)
+    arm = jc.plants.TorqueArm()
+    with pytest.raises(ValueError, match="motor_noise: at most 1"):
+        jc.tasks.reach(arm, [0.0, 0.4], motor_noise=20)
+    with pytest.raises(TypeError, match="SumNoise: a tuple of noises"):
+        jc.SumNoise(())
+
+
+def test_a_noise_is_added_to_a_problem():
+    arm = jc.plants.TorqueArm()
+    task = jc.tasks.reach(arm, [0.0, 0.4])
+    one = task + jc.SignalDependentNoise(0.02)
+    two = one + jc.AdditiveNoise(0.01)
+    assert task.noise is None and isinstance(one.noise, jc.SignalDependentNoise)
+    assert [type(part).__name__ for part in two.noise.parts] == [
+        "SignalDependentNoise", "AdditiveNoise",
+    ]  # fmt: skip
+    with pytest.raises(ValueError, match="target: lies inside the obstacle"):
+        task + jc.tasks.Obstacle([0.0, 0.4], 0.05)

@@ -48,10 +48,11 @@ def box_lqr(
 
     Under noise it is the mean of du that is kept in the box. What is held has no gains, on which
     the value's curvature and so the price of noise depend: a set that reproduces itself need not
-    exist. Where none is found each step's k is chosen in the box by itself after all.
+    exist. Where none is found each step's k is chosen in the box by itself after all: a law whose
+    mean may leave the box, and no exact minimiser.
 
     The sets may cycle. After `max_sweeps`, an interior-point method, whose steps are sweeps too,
-    gives them a new start, or, should they cycle again, the result.
+    gives them a new start, or, without noise, should they cycle again, the result.
 
     Arguments:
         model: local expansion; every array but the last two leads with time.
@@ -90,11 +91,13 @@ def box_lqr(
 def _law(box: Box, end: _Iterate) -> tuple[Sweep, Array]:
     """Return the law that leads to the controls where a search has ended, and their held set."""
     last, point = end.last, end.interior
-    dxs, dus, slope = select(end.settled | ~point.settled, last[:3], point[:3])
+    # Under noise the barrier changes the gains, and with them what is minimised.
+    inner = point.settled & (box.model.noise is None)
+    dxs, dus, slope = select(end.settled | ~inner, last[:3], point[:3])
     k = dus - jnp.sum(last.K * dxs[:-1, None, :], axis=2)
     linear = jnp.sum(last.gradient * dus)
     change = 0.5 * jnp.sum((last.gradient + slope) * dus)
-    settled = end.settled | point.settled
+    settled = end.settled | inner
     sweep = Sweep(
         k, last.K, last.gradient, last.curvature - box.damping, linear, change - linear,
         last.ok.all(), last_true(~last.ok), nonfinite(box.model, last.finite), settled,

@@ -27,8 +27,8 @@ class ObservedLQG(NamedTuple):
 
     `history` holds the expected cost after each half of each sweep, the filter's and the law's, NaN
     for sweeps that were not needed; the model's constant is left out. `converged` tells whether the
-    last sweep changed the cost by no more than the tolerance, or round-off; `ok` whether a law
-    could be found at every step.
+    last sweep changed the cost by no more than the tolerance, or round-off, which of a flat valley
+    tells little of law and gains; `ok` whether a law could be found at every step.
     """
 
     law: AffineLaw

@@ -11,6 +11,7 @@ from .._types import LocalModel, array_leaf
 from . import _box_lqr, _boxqp, _factorised, _riccati
 from ._boxqp import BoxQP
 from ._engine import find_engine
+from ._observed_checks import check_model, shaped
 from ._riccati import Sweep, symmetric
 
 
@@ -19,6 +20,7 @@ def _compiled(kernel: Callable) -> Callable:
 
     @functools.wraps(kernel)
     def call(model, *args, **kwargs):
+        check_model(model)
         return kernel(symmetric(model), *args, **kwargs)
 
     return eqx.filter_jit(call)
@@ -27,10 +29,16 @@ def _compiled(kernel: Callable) -> Callable:
 _box_lqr_door = _compiled(_box_lqr.box_lqr)
 _box_qp = eqx.filter_jit(_boxqp.box_qp)
 costates = eqx.filter_jit(_riccati.costates)
-evaluate = _compiled(_riccati.evaluate)
+_evaluate = _compiled(_riccati.evaluate)
 factorise = _compiled(_factorised.factorise)
 solve_factorised = eqx.filter_jit(_factorised.solve_factorised)
 lqr_rollout = eqx.filter_jit(_factorised.lqr_rollout)
+
+
+@functools.wraps(_riccati.evaluate)
+def evaluate(model, k, K):
+    T, nx, nu = check_model(model)
+    return _evaluate(model, shaped("k", k, (T, nu)), shaped("K", K, (T, nu, nx)))
 
 
 def lqr(
@@ -60,6 +68,7 @@ def lqr(
 
 @eqx.filter_jit
 def _lqr(model: LocalModel, damping, engine: str) -> Sweep:
+    check_model(model)
     return find_engine(engine).lqr(symmetric(model), damping)
 
 

@@ -155,6 +155,10 @@ def expected(model: LocalModel, law: AffineLaw, joints: Joint) -> Float[Array, "
 
     cost = (model.lx, model.lu, model.lxx, model.lux, model.luu)
     steps = jax.vmap(weigh)(mean_x[:-1], cov_x[:-1], mean_u, cov_ux, cov_u, *cost)
+    if model.noise is not None and model.noise.weight is not None:
+        past = jax.tree.map(lambda a: a[:-1], joints)
+        noise = jax.vmap(lambda j, n, law: _spread(j, n, law, nx))(past, model.noise, law)
+        steps = steps + 0.5 * jnp.sum(model.noise.weight * noise, axis=(1, 2))
     x, xx = mean_x[-1], cov_x[-1]
     last = model.vx @ x + 0.5 * (x @ model.vxx @ x + jnp.sum(model.vxx * xx))
     return jnp.sum(steps) + last

@@ -181,10 +181,11 @@ class Sweep(NamedTuple):
 
     A step of length a along it changes the damped model's cost by a `linear` + a^2 `quadratic`.
     `gradient` is that of the total cost in the controls, under noise of the expected cost as the
-    model has it; `curvature` the diagonal of each Q_uu less the step's own damping. `ok` tells
-    whether every Q_uu was positive definite; where it was not, `failed` is the last such step of
-    time. `nonfinite` is the last step of time at which something was not finite, T for the last
-    state; -1 where all was. `settled` tells whether the set of controls at bounds was found.
+    model has it, weighed by the damped law's value; `curvature` the diagonal of each Q_uu less the
+    step's own damping. `ok` tells whether every Q_uu was positive definite; where it was not,
+    `failed` is the last such step of time. `nonfinite` is the last step of time at which something
+    was not finite, T for the last state; -1 where all was. `settled` tells whether the set of
+    controls at bounds was found.
     """
 
     k: Float[Array, "T nu"]

@@ -1,7 +1,8 @@
 """One step of every sweep backwards through a local model.
 
 With V(dx) = v + v_x'dx + dx'V_xx dx/2 ahead of a step, and the noise's columns
-c_i + cx_i dx + cu_i du, the cost of the step and of what follows it is
+c_i + cx_i dx + cu_i du, the cost of the step and of what follows it is, with V_xx + W for V_xx in
+the sums over i where noise costs something within its step,
 
   Q    = v + sum_i c_i'V_xx c_i/2
   Q_x  = l_x + f_x'v_x + sum_i cx_i'V_xx c_i    Q_xx = l_xx + f_x'V_xx f_x + sum_i cx_i'V_xx cx_i
@@ -110,7 +111,7 @@ def value(
 
 def columns(noise: Noise, nx: int, nu: int) -> tuple[Array, Array, Array]:
     """Return c (nw, nx), cx (nw, nx, nx) and cu (nw, nx, nu) of one step, zero where None."""
-    c, cx, cu, rows = noise
+    c, cx, cu, rows, _ = noise
     if rows is not None:
         S = rows.onehot(nx, c.dtype)
         cx, cu = (None if a is None else jnp.matmul(S.mT, a) for a in (cx, cu))
@@ -126,12 +127,14 @@ class Packed(NamedTuple):
         c: the columns, (nw, nx); None where none has a slope.
         slopes: those of each column in z = (x, u), in r of its rows, (nw, r, nx + nu); or None.
         rows: which rows these are; None for all.
+        weight: what the noise costs within its step, (nx, nx), beside V_xx; or None.
     """
 
     square: Float[Array, "*T nx nx"]
     c: Float[Array, "*T nw nx"] | None
     slopes: Float[Array, "*T nw r nz"] | None
     rows: Rows | None
+    weight: Float[Array, "*T nx nx"] | None
 
 
 def pack(noise: Noise, shape: tuple[int, ...]) -> Packed:
@@ -139,19 +142,19 @@ def pack(noise: Noise, shape: tuple[int, ...]) -> Packed:
 
     Arguments: the noise, and the numbers of states and controls, (nx, nu).
     """
-    c, cx, cu, rows = noise
+    c, cx, cu, rows, weight = noise
     # Column by column: XLA hands one sum over all steps to a library, and a loop with a call to
     # one does not become one function.
     columns = [c[..., i, :, None] * c[..., i, None, :] for i in range(c.shape[-2])]
     square = 0.5 * sum(columns, jnp.zeros((*c.shape[:-2], c.shape[-1], c.shape[-1]), c.dtype))
     if cx is None and cu is None:
-        return Packed(square, None, None, None)
+        return Packed(square, None, None, None, weight)
     lead = (cx if cu is None else cu).shape[:-1]  # pyright: ignore[reportOptionalMemberAccess]
     both = [
         jnp.zeros((*lead, n), c.dtype) if own is None else own
         for own, n in zip((cx, cu), shape, strict=True)
     ]
-    return Packed(square, c, jnp.concatenate(both, axis=-1), rows)
+    return Packed(square, c, jnp.concatenate(both, axis=-1), rows, weight)
 
 
 def disturbed(noise: Packed, vxx: Float[Array, "nx nx"], shape: tuple[int, ...]) -> Action:
@@ -160,6 +163,7 @@ def disturbed(noise: Packed, vxx: Float[Array, "nx nx"], shape: tuple[int, ...])
     Arguments: the step's packed noise, V_xx (nx, nx), and the numbers of states and controls.
     """
     nx, nu = shape
+    vxx = vxx if noise.weight is None else vxx + noise.weight
     q, J = jnp.sum(noise.square * vxx), noise.slopes
     if J is None or noise.c is None:
         sizes = ((nx,), (nu,), (nx, nx), (nu, nx), (nu, nu))

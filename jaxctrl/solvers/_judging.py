@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from .. import _status
 from .._controller import clip
+from .._linalg import is_covariance
 from .._problem import Problem
 from .._status import Reason, Status, first_nonfinite
 from .._types import Bounds, LocalModel
@@ -45,7 +46,8 @@ class Tolerances(eqx.Module):
 
 
 def input_status(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) -> Status:
-    """Return RUNNING, or what forbids to start: crossing bounds, dt <= 0, inputs not finite.
+    """Return RUNNING, or what forbids to start: crossing bounds, dt <= 0, what is no covariance,
+    inputs not finite.
 
     Arguments: the problem, x0 (nx,) and us (T, nu).
     """
@@ -56,6 +58,9 @@ def input_status(problem: Problem, x0: Float[Array, " nx"], us: Float[Array, "T 
         infeasible = Status.of(Reason.INFEASIBLE_BOUNDS, jnp.argmax(crossed))
         status = _status.where(crossed.any(), infeasible, status)
     status = _status.where(problem.dt > 0, status, Status.of(Reason.INVALID_TIME_STEP))
+    if problem.x0_cov is not None:
+        valid = is_covariance(problem.x0_cov)
+        status = _status.where(valid, status, Status.of(Reason.INVALID_COVARIANCE))
     parts = (problem.plant, problem.cost, problem.noise, problem.x0_cov, problem.dt, x0, us)
     every = jax.tree_util.tree_leaves_with_path(parts)
     inputs = [

@@ -1,7 +1,8 @@
 """How a stochastic solver gets on where no step lowers the expected cost any more.
 
 The model leaves out parts of the expected cost's gradient, so that near its own fixed point the two
-disagree. There whole steps are taken as long as each lowers the gradient of the model.
+disagree. There steps are taken as long as each lowers the gradient of the model: whole ones, and
+where these lead from one side of the fixed point to the other, parts of them.
 """
 
 from typing import NamedTuple
@@ -9,8 +10,10 @@ from typing import NamedTuple
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
+from .. import _status
+from .._status import Reason, Status, first_nonfinite
 from .._types import LocalModel
 from ..linear import Sweep
 
@@ -18,6 +21,13 @@ NEAR = 1.0
 """The projected gradient above which no polishing begins."""
 FALLING = 0.99
 """The largest ratio of two gradients in a row that counts as a fall."""
+LEAST = 0.125
+"""The smallest part of a step that is tried."""
+GAIN = 1e-6
+"""By how much of itself the least cost must fall for another attempt: less, and steps that lower
+the cost and steps that lower the gradient may follow one another for ever, around a kink."""
+IDLE = 12
+"""How many steps may follow an attempt in vain without the least cost falling so."""
 
 
 class Pair(NamedTuple):
@@ -36,15 +46,19 @@ class Polish(NamedTuple):
 
     Attributes:
         going: whether the next step is taken whatever it costs.
-        spent: whether that was tried in vain since a step last lowered the cost.
+        spent: whether that was tried in vain since a step last lowered the least cost.
         best: the best pair met so far.
         nominal: what the start costs without noise; NaN before it was measured.
+        part: which part of the next step is taken.
+        idle: how many steps have followed an attempt in vain without a lower cost.
     """
 
     going: Bool[Array, ""]
     spent: Bool[Array, ""]
     best: Pair
     nominal: Float[Array, ""]
+    part: Float[Array, ""]
+    idle: Int[Array, ""]
 
 
 def begin(xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"]) -> Polish:
@@ -53,7 +67,8 @@ def begin(xs: Float[Array, "T+1 nx"], us: Float[Array, "T nu"]) -> Polish:
     worst = jnp.full((), jnp.inf, us.dtype)
     none = jnp.array(False)
     pair = Pair(xs, us, K, jnp.full_like(us, jnp.nan), worst, worst)
-    return Polish(none, none, pair, jnp.full((), jnp.nan, us.dtype))
+    unknown = jnp.full((), jnp.nan, us.dtype)
+    return Polish(none, none, pair, unknown, jnp.ones((), us.dtype), jnp.array(0))
 
 
 def proceeds(
@@ -87,16 +102,30 @@ def advance(
     """
     better = usable & (pair.cost < polish.best.cost)
     best = jax.tree.map(lambda new, old: jnp.where(better, new, old), pair, polish.best)
-    spent = (polish.spent | vain) & ~lowered
-    return Polish(proceeding & ~vain, spent, best, polish.nominal)
+    ended = vain & (polish.part <= LEAST)
+    least = polish.best.cost
+    fell = lowered & (pair.cost < least - GAIN * jnp.abs(least))
+    spent = (polish.spent | ended) & ~fell
+    going = proceeding & ~ended
+    part = jnp.where(going, jnp.where(vain, 0.5 * polish.part, polish.part), 1.0)
+    idle = jnp.where(spent, polish.idle + 1, 0)
+    return Polish(going, spent, best, polish.nominal, part, idle)
 
 
-def swamped(polish: Polish, model: LocalModel, sweep: Sweep, cost: Array) -> Bool[Array, ""]:
-    """Tell whether noise adds 1/eps times what the start costs without it, or overflows.
+def noise_status(
+    polish: Polish, model: LocalModel, sweep: Sweep, cost: Array, status: Status
+) -> Status:
+    """Return a status that blames the noise, where that is at fault, or else the one given.
 
-    Arguments: the last model and its sweep, and the expected cost ().
+    It is too large where it adds 1/eps times what the start costs without it, or overflows.
+
+    Arguments: the last model and its sweep, the expected cost (), and the status.
     """
     without = model._replace(noise=None)
     sound = jnp.isfinite(jax.flatten_util.ravel_pytree(without)[0]).all()
     tame = cost * jnp.finfo(cost.dtype).eps <= jnp.abs(polish.nominal)
-    return sound & jnp.where(sweep.ok, ~tame & (polish.nominal != 0), sweep.nonfinite >= 0)
+    swamped = sound & jnp.where(sweep.ok, ~tame & (polish.nominal != 0), sweep.nonfinite >= 0)
+    status = _status.where(swamped, Status.of(Reason.NOISE_TOO_LARGE), status)
+    for at in map(first_nonfinite, jax.tree.leaves(model.noise)):
+        status = _status.where(sound & (at >= 0), Status.of(Reason.NONFINITE_NOISE, at), status)
+    return status

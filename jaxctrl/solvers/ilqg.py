@@ -23,7 +23,8 @@ class ILQG(AbstractShooting):
     additive noise changes the expected cost alone. The law's nominal part is rolled out on the true
     dynamics without noise, with k halved until the expected cost falls: the nominal cost plus what
     the noise adds along each candidate under the gains. Without noise its steps are `ILQR`'s. The
-    state is known to the controller.
+    state is known to the controller. Bounds hold the mean controls: that feedback is clipped there
+    is not in the model.
 
     At its end k is zero: the law is optimal for the model around its own trajectory. The model
     leaves out how noise acts through the curvature of the dynamics (E f_xx dx dx/2) and through the
@@ -57,7 +58,7 @@ class ILQG(AbstractShooting):
         counts as free.
         """
         cost = problem.total_cost(xs, us)
-        if problem.noise is None and problem.x0_cov is None:
+        if problem.noise is None:  # the law is ILQR's, however uncertain the start
             return cost
         model = self.expand(problem, xs, us, False) if model is None else model
         return cost + jnp.maximum(noise_cost(problem, model, law.K), 0.0)

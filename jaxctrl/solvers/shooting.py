@@ -17,6 +17,7 @@ from ..linear import Sweep
 from ..linear._box_lqr import box_lqr
 from ..linear._engine import find_engine
 from ..linear._factorised import factorise
+from ._damping import LAM_MAX, LAM_SURE, adapt
 from ._judging import (
     Tolerances,
     converged,
@@ -30,14 +31,10 @@ from ._judging import (
     start_status,
 )
 from ._minimiser import AbstractMinimiser
-from ._polish import Pair, Polish, advance, begin, failed, proceeds, swamped
+from ._polish import IDLE, Pair, Polish, advance, begin, failed, noise_status, proceeds
 from ._rollout import rollout_law
 from .line_search import Trial, search
 
-LAM_FIRST, LAM_MIN, LAM_MAX = 1e-6, 1e-9, 1e10
-LAM_FACTOR = 1.6
-LAM_SURE = 1e-3
-LONG, SHORT = 0.5, 0.07
 NEAR = 1.0
 """The projected gradient at which the exact second order, where wanted, replaces Gauss-Newton's."""
 
@@ -126,7 +123,7 @@ def step(
     undone = state.second & (fraction == 0)
     trying = solver.second_order & state.measured & ~state.second & _bare(state)
     anew = undone | (trying & (state.fraction > 0))
-    lam, factor = _schedule(state, fraction, state.measured & ~anew)
+    lam, factor = adapt(state.lam, state.factor, fraction, state.measured & ~anew)
     polishing = proceeds(state.polish, _vain(state, fraction), state.gradient)
     lam = jnp.where(last | polishing, 0.0, lam)
     second = solver.second_order & (((state.gradient <= NEAR) | trying) & ~undone | last)
@@ -164,9 +161,9 @@ def step(
     final = (lam == 0) & (second == solver.second_order)
     new = eqx.tree_at(lambda s: (s.status, s.final), new, (judged, final))
     if polish is not None:
-        drowned = swamped(polish, model, sweep, cost) & state.status.is_(Reason.RUNNING)
-        too_large = _status.where(drowned, Status.of(Reason.NOISE_TOO_LARGE), new.status)
-        new = eqx.tree_at(lambda s: s.status, new, too_large)
+        blamed = noise_status(polish, model, sweep, cost, new.status)
+        blamed = _status.where(state.status.is_(Reason.RUNNING), blamed, new.status)
+        new = eqx.tree_at(lambda s: s.status, new, blamed)
         new = _polished(polish, state, new, polishing)
     return _settle(state, new, last)
 
@@ -192,7 +189,9 @@ def _polished(
     pair = Pair(new.xs, new.us, new.sweep.K, new.side, new.cost, new.gradient)
     usable = new.sweep.ok & new.sweep.settled
     after = advance(polish, proceeding, vain, lowered, pair, usable)
-    return eqx.tree_at(lambda s: s.polish, new, after)
+    stalled = new.status.is_(Reason.RUNNING) & (after.idle >= IDLE)
+    status = _status.where(stalled, Status.of(Reason.STALLED_EXPECTED), new.status)
+    return eqx.tree_at(lambda s: (s.polish, s.status), new, (after, status))
 
 
 def _marquardt(state: ShootingState) -> Array:
@@ -215,11 +214,12 @@ def _search(
     """Search along the state's law."""
     bounds, sweep, side = problem.bounds, state.sweep, state.side
     none = jnp.zeros((), state.cost.dtype)
+    part = 1.0 if state.polish is None else state.polish.part
 
     def trial_of(fraction):
-        k = fraction * sweep.k
+        k = part * fraction * sweep.k
         # A whole step ends on the bounds that its law holds; what is at one already stays there.
-        held = jnp.where((fraction == 1) & ~jnp.isnan(side), side, 0.0)
+        held = jnp.where((part * fraction == 1) & ~jnp.isnan(side), side, 0.0)
         xs, us = rollout_law(problem, state.xs, state.us, k, sweep.K, bounds, held)
         return xs, us, solver.merit(problem, xs, us, sweep)
 
@@ -240,23 +240,6 @@ def _settle(state: ShootingState, new: ShootingState, last: Array) -> ShootingSt
         lambda s: (s.sweep.K, s.side, s.final), state, (gains, side, jnp.array(True))
     )
     return jax.tree.map(lambda a, b: jnp.where(last, a, b), settled, new)
-
-
-def _schedule(state: ShootingState, fraction: Array, wanted: Array) -> tuple[Array, Array]:
-    """Adapt lambda, if wanted, faster each time in the same direction (Tassa et al. 2012).
-
-    A long accepted step lowers it. A rejected one raises it, and so does a short one: there the
-    linear model holds only nearby, and a more regular direction goes further.
-    """
-    good, bad = fraction >= LONG, fraction <= SHORT
-    down = jnp.minimum(1 / LAM_FACTOR, state.factor / LAM_FACTOR)
-    up = jnp.maximum(LAM_FACTOR, state.factor * LAM_FACTOR)
-    lower = state.lam * down
-    lower = jnp.where(lower < LAM_MIN, 0.0, lower)
-    higher = jnp.maximum(state.lam * up, LAM_FIRST)
-    lam = jnp.where(good, lower, jnp.where(bad, higher, state.lam))
-    factor = jnp.where(good, down, jnp.where(bad, up, 1.0))
-    return jnp.where(wanted, lam, state.lam), jnp.where(wanted, factor, state.factor)
 
 
 def _judge(problem, old: ShootingState, new: ShootingState, tolerances: Tolerances) -> Status:

@@ -42,6 +42,12 @@ def _problem(
     longest: float = LONGEST,
 ) -> Problem:
     check_weights(effort=effort, **({} if motor_noise is None else {"motor_noise": motor_noise}))
+    strength = None if motor_noise is None else known(motor_noise)
+    if strength is not None and (strength > 1).any():
+        raise ValueError(
+            f"motor_noise: at most 1 s^(1/2), ten times each control over 10 ms, is wanted, got "
+            f"{motor_noise}; 20 % over 10 ms is 0.02"
+        )
     num_steps, dt = grid(duration, num_steps, longest)
     noise = None if motor_noise is None else SignalDependentNoise(motor_noise)
     cost = cost + Effort(effort)
@@ -77,7 +83,8 @@ def reach(
         num_steps: steps in it; by default as many as make the time step about 10 ms. Static.
         position_weight, velocity_weight: w1 [1/m^2] and w2 [s^2/m^2]; 1 and 0.01 are our choice.
         effort: r, weight of the squared control per second; 1e-4 as in Li (2006), eq. 4.20.
-        motor_noise: intensity [s^(1/2)] of `SignalDependentNoise`; none by default.
+        motor_noise: intensity [s^(1/2)] of `SignalDependentNoise`, 0.02 for 20 % over 10 ms; none
+            by default. Other noises are added: `reach(...) + jc.AdditiveNoise(...)`.
         integrator: as in `Problem`; explicit Euler by default.
 
     Returns: `Problem`. Raises ValueError or TypeError naming the argument that does not fit.
@@ -218,12 +225,6 @@ def obstacle(
     problem = reach(plant, target, duration, **reach_arguments)
     centre = check_array("centre", centre, (plant.dim,))
     disc = Obstacle(centre, check_array("radius", radius, ()), obstacle_weight)
-    target = jnp.asarray(target)
-    if is_concrete(target, centre, disc.radius) and not disc.clearance(target) > 0:
-        raise ValueError(
-            f"target: lies inside the obstacle, {float(jnp.linalg.norm(target - centre)):.4g} m "
-            f"from its centre; its radius is {float(disc.radius):.4g} m"
-        )
     return problem + disc
 
 

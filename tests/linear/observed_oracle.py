@@ -18,7 +18,7 @@ def homogeneous(model, sensing, law, gains, xp=np):
         A, B, G = model.fx[t], model.fu[t], gains[t]
 
         def rows(noise, t=t, U=U):
-            c, cx, cu, _ = noise
+            c, cx, cu, *_ = noise
             for i in range(c.shape[1]):
                 row = c[t, i][:, None] * one
                 row = row if cx is None else row + cx[t, i] @ X

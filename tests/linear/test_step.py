@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_riccati import random_model
 
-from jaxctrl._types import Noise
+from jaxctrl._types import Noise, Rows
 from jaxctrl.linear import box_lqr, evaluate, lqr, lqr_rollout
 from jaxctrl.linear._step import pack
 
@@ -19,8 +19,10 @@ def noisy(seed, kind="all"):
     c = jnp.asarray(0.3 * rng.normal(size=(T, 3, NX)))
     cx = jnp.asarray(0.2 * rng.normal(size=(T, 3, NX, NX)))
     cu = jnp.asarray(0.2 * rng.normal(size=(T, 3, NX, NU)))
+    weight = rng.normal(size=(T, NX, NX))
     noise = {
         "all": Noise(c, cx, cu),
+        "weighed": Noise(c, cx, cu, weight=jnp.asarray(weight @ weight.mT)),
         "additive": Noise(c),
         "of the controls": Noise(c, None, cu),
         "none": None,
@@ -47,19 +49,21 @@ def expected_cost(model, k, K, dx0):
         step = np.vstack([np.eye(1 + NX)[:1], fx @ X + fu @ U])
         after = step @ Z @ step.T
         if model.noise is not None:
-            c, cx, cu, _ = model.noise
+            c, cx, cu, *_ = model.noise
             for i in range(c.shape[1]):
                 column = np.zeros((NX, 1 + NX))
                 column[:, 0] = c[t, i]
                 column += 0 if cx is None else np.asarray(cx[t, i]) @ X
                 column += 0 if cu is None else np.asarray(cu[t, i]) @ U
                 after[1:, 1:] += column @ Z @ column.T
+                if model.noise.weight is not None:
+                    J += 0.5 * np.sum(np.asarray(model.noise.weight[t]) * (column @ Z @ column.T))
         Z = after
     vxx = np.pad(np.asarray(model.vxx), ((1, 0), (1, 0)))
     return J + np.asarray(model.vx) @ Z[1:, 0] + 0.5 * np.sum(vxx * Z)
 
 
-@pytest.mark.parametrize("kind", ["all", "additive", "of the controls", "none"])
+@pytest.mark.parametrize("kind", ["all", "additive", "of the controls", "weighed", "none"])
 def test_the_value_of_any_law_is_the_expected_cost(kind):
     for seed in range(3):
         model, (k, K) = noisy(seed, kind), law(seed)
@@ -188,3 +192,28 @@ def test_the_noise_of_all_steps_is_packed_without_calls_to_a_library():
     assert "kCustom" not in program and "custom-call" not in program
     np.testing.assert_allclose(squares(c), 0.5 * jnp.einsum("tix,tiy->txy", c, c), atol=1e-12)
     assert squares(c[:, :0]).shape == (50, 10, 10)
+
+
+def test_arrays_that_do_not_fit_are_refused():
+    model, (k, K) = noisy(0), law(0)
+    noise = model.noise
+    nw = noise.c.shape[1]
+    wrong = {
+        "model.noise.rows": noise._replace(rows=Rows(((0,),)), cx=None, cu=noise.cu[:, :, :1]),
+        "model.noise.cu": noise._replace(cx=None, cu=noise.cu[:, :1]),
+        "model.noise.c": noise._replace(c=noise.c[..., :1]),
+    }
+    beyond = Rows(((0,),) * (nw - 1) + ((7,),))
+    cases = [(name, model._replace(noise=part)) for name, part in wrong.items()]
+    cases += [
+        ("rows", model._replace(noise=noise._replace(rows=beyond, cx=None, cu=noise.cu[:, :, :1]))),
+        ("model.lx", model._replace(lx=model.lx[:, :1])),
+        ("model.luu", model._replace(luu=model.luu[:, :1, :1])),
+    ]
+    for name, bad in cases:
+        with pytest.raises(ValueError, match=name):
+            evaluate(bad, k, K)
+        with pytest.raises(ValueError, match=name):
+            lqr(bad)
+    with pytest.raises(ValueError, match="k: got shape"):
+        evaluate(model, k[:, :1], K)

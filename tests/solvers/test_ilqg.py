@@ -365,3 +365,112 @@ def test_half_the_time_step_leaves_paths_and_open_loop_ends(plant):
     # that their deviations fall with the step. They settle, but only at first order.
     first, second = (np.abs(np.log(b / a)) for a, b in itertools.pairwise(closed))
     assert (second < 0.65 * first).all(), (first, second)
+
+
+class Acceleration(jc.AbstractResidual):
+    """The change of the second state in a step, over its length."""
+
+    of = "other"
+
+    def residual(self, plant, at):
+        """Return it, shape (1,)."""
+        return (at.after[1:2] - at.x[1:2]) / at.dt * 0.1
+
+
+def within_a_step(kind):
+    """Return the end's cost as an event, or a cost that knows of the noise within a step."""
+
+    def end(x):
+        return 50 * (x[0] ** 2 + 0.1 * (x[1] - 1) ** 2)
+
+    rest = jc.QuadraticCost(R=jnp.array([0.02, 0.05]))
+    if kind == "terminal":
+        return rest + jc.FunctionCost(terminal=end)
+    if kind == "residual":
+        return rest + jc.FunctionCost(terminal=end) + Acceleration()
+    times = {"event": [T * DT], "between": [0.31, T * DT]}[kind]
+    return rest + jc.FunctionCost(event=lambda x, i: end(x), event_times=times)
+
+
+def test_events_and_residuals_weigh_the_noise_of_their_own_step():
+    noise = jc.SignalDependentNoise(0.3) + jc.AdditiveNoise(0.05 * np.eye(3))
+    found = {}
+    for kind in ("terminal", "event", "between", "residual"):
+        problem = jc.Problem(Linear(A, B), within_a_step(kind), num_steps=T, dt=DT, noise=noise)
+        found[kind] = solution = jc.solve(problem, jc.ILQG(), X0)
+        assert solution.status.ok
+        costs = jc.evaluate(
+            problem, solution.policy, X0, key=jax.random.key(2), trials=20_000
+        ).costs
+        costs = np.asarray(costs)
+        assert abs(costs.mean() - solution.cost) < 3.5 * costs.std() / len(costs) ** 0.5, kind
+    # An event at the end is the end's cost.
+    np.testing.assert_allclose(found["event"].cost, found["terminal"].cost, rtol=1e-9)
+    np.testing.assert_allclose(found["event"].us, found["terminal"].us, atol=1e-6)
+    np.testing.assert_allclose(found["event"].policy.K, found["terminal"].policy.K, atol=1e-6)
+
+
+def test_what_is_no_covariance_or_no_number_under_jit_is_a_status():
+    problem = linear(jc.SignalDependentNoise(SIGMA), X0_COV)
+
+    @jax.jit
+    def tried(cov, sigma):
+        where = lambda p: (p.x0_cov, p.noise.intensity)  # noqa: E731
+        changed = eqx.tree_at(where, problem, (cov, sigma))
+        s = jc.solve(changed, jc.ILQG(), X0, max_steps=2)
+        drawn = jc.simulate(changed, jc.OpenLoop(s.us), X0, key=jax.random.key(0))
+        return s.status.code, drawn.xs[0]
+
+    indefinite = np.array([[1, 2, 0], [2, 1, 0], [0, 0, 1.0]])
+    for wrong in (-np.eye(3), indefinite, np.triu(np.ones((3, 3)))):
+        code, start = tried(wrong, jnp.asarray(SIGMA))
+        assert jc.Reason(int(code)).name == "INVALID_COVARIANCE"
+        assert np.isnan(start).all()
+    # Units far apart do not make one.
+    far = np.diag([1e-14, 1.0, 1e8])
+    code, start = tried(far, jnp.asarray(SIGMA))
+    assert int(code) != int(jc.Reason.INVALID_COVARIANCE)
+    assert (np.abs(start - X0) > 0.01 * np.sqrt(np.diag(far))).all()
+
+
+def test_noise_that_is_not_finite_is_named_with_its_step():
+    def late(x, u, t):
+        return jnp.where(t > 0.2, jnp.nan, 0.1) * jnp.ones((3, 1))
+
+    def of_a_norm(x, u, t):
+        return 0.1 * jnp.sqrt(jnp.sum(u**2)) * jnp.ones((3, 1))
+
+    for function, step in ((late, 11), (of_a_norm, 0)):
+        solution = jc.solve(linear(jc.FunctionNoise(function)), jc.ILQG(), X0)
+        assert solution.status.name == "NONFINITE_NOISE" and int(solution.status.index) == step
+
+
+class Curved(jc.AbstractPlant):
+    """An unstable second state, driven in proportion to a saturated control and to a product."""
+
+    nx = 2
+    nu = 2
+
+    def __call__(self, x, u, t):
+        pull = (1 + 0.5 * jnp.cos(x[0])) * jnp.tanh(u[0]) + 0.4 * u[1] * x[1] + 0.3 * u[1]
+        return jnp.stack([x[1], 3 * jnp.sin(x[0]) - 0.3 * x[1] ** 3 + pull])
+
+
+def test_ends_are_found_where_whole_steps_do_not_contract():
+    target = jnp.array([0.3, 0.0])
+    cost = jc.QuadraticCost(Q=jnp.array([0.5, 0.1]), R=0.1, Qf=jnp.array([8.0, 1.0]), target=target)
+    x0, cov = jnp.array([0.6, -0.2]), 1e-3 * np.array([[1, 0.2], [0.2, 2]])
+
+    def solve(solver, noise=None, x0_cov=None):
+        problem = jc.Problem(Curved(), cost, num_steps=15, dt=0.06, noise=noise, x0_cov=x0_cov)
+        return jc.solve(problem, solver, x0)
+
+    # From the root of the model's gradient, found by SciPy, one whole step goes 2.6 times as far
+    # to the other side.
+    noisy = solve(jc.ILQG(), jc.SignalDependentNoise(0.2))
+    assert noisy.status.ok, noisy.status.message
+    np.testing.assert_allclose(noisy.cost, 0.2107310631723175, rtol=1e-7)
+    # An uncertain start alone leaves the movement what it is.
+    uncertain, certain = solve(jc.ILQG(), x0_cov=cov), solve(jc.ILQR())
+    np.testing.assert_array_equal(uncertain.us, certain.us)
+    assert uncertain.status.ok and uncertain.cost > certain.cost

@@ -281,8 +281,8 @@ def _check_obstacles(cost: AbstractCost) -> None:
             if not is_concrete(obstacles, targets) or not len(obstacles) or not len(targets):
                 continue
             discs, points = np.asarray(obstacles), np.asarray(targets)
-            if discs.ndim != 2 or points.ndim != 2:  # a batch
-                continue
+            if discs.ndim != 2 or points.ndim != 2 or discs.shape[1] != points.shape[1] + 1:
+                continue  # a batch, or shapes that are refused elsewhere, by name
             gap = np.linalg.norm(points[:, None] - discs[:, :-1], axis=-1) - discs[:, -1]
             if (gap <= 0).any():
                 i, j = np.argwhere(gap <= 0)[0]

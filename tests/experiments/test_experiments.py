@@ -68,8 +68,8 @@ TIMED = {
 }
 
 
-LONG = {"fig-5.6", "fig-5.10", "ablations-5.1", "prediction"}
-"""Quick runs that take long to compile all the same."""
+LONG = {"fig-3.8", "fig-3.10", "fig-5.6", "fig-5.7", "fig-5.10", "ablations-5.1", "prediction"}
+"""Quick runs that take long to compile all the same, most of it in code that others run, too."""
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,7 @@ def test_without_noise_the_steps_are_ilqrs(bounds):
     assert float(jnp.abs(ours.prediction.x_cov).max()) == 0
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_expected_cost_are_those_of_the_closed_form():
     problem = linear(every(), X0_COV)
 

@@ -87,9 +87,9 @@ def check_sensed(model: LocalModel, sensing: Sensing) -> tuple[int, int, int, in
     Raises TypeError for what is no model or no sensing, and as `checked` does.
     """
     T, nx, nu = check_model(model)
-    for name, value in model._asdict().items():
-        if name != "noise":
-            checked(f"model.{name}", value, np.shape(value))
+    for name in ("fx", "fu", "lx", "lu", "lxx", "lux", "luu", "vx", "vxx"):
+        value = getattr(model, name)
+        checked(f"model.{name}", value, np.shape(value))
     if not isinstance(sensing, Sensing):
         raise TypeError(f"sensing: a jc.linear.Sensing is wanted, got {type(sensing).__name__}")
     if np.ndim(sensing.F) != 3:
@@ -101,6 +101,10 @@ def check_sensed(model: LocalModel, sensing: Sensing) -> tuple[int, int, int, in
     if sensing.internal is not None:
         checked("sensing.internal", sensing.internal, (T, None, nx))
     _check_noise("sensing.noise", sensing.noise, T, ny, (nx, nu))
+    for name, noise in (("model.noise", model.noise), ("sensing.noise", sensing.noise)):
+        for part in ("c", "cx", "cu", "weight"):
+            if noise is not None and (value := getattr(noise, part)) is not None:
+                checked(f"{name}.{part}", value, np.shape(value))
     return T, nx, nu, ny
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_riccati import random_model
 
-from jaxctrl._types import Noise, Rows
-from jaxctrl.linear import box_lqr, evaluate, lqr, lqr_rollout
+from jaxctrl._types import Noise, Rows, Sensing
+from jaxctrl.linear import AffineLaw, box_lqr, evaluate, evaluate_observed, lqr, lqr_rollout
 from jaxctrl.linear._step import pack
 
 NX, NU, T = 4, 2, 6
@@ -217,3 +217,11 @@ def test_arrays_that_do_not_fit_are_refused():
             lqr(bad)
     with pytest.raises(ValueError, match="k: got shape"):
         evaluate(model, k[:, :1], K)
+
+
+def test_sensed_models_refuse_noise_that_is_not_finite():
+    model, (k, K) = noisy(0), law(0)
+    bad = model._replace(noise=model.noise._replace(cu=model.noise.cu.at[2, 0, 0, 0].set(jnp.nan)))
+    sensing = Sensing(jnp.tile(jnp.eye(NX), (T, 1, 1)))
+    with pytest.raises(ValueError, match=r"model.noise.cu: not finite at index \(2, 0, 0, 0\)"):
+        evaluate_observed(bad, sensing, AffineLaw(k, K), jnp.zeros((T, NX, NX)))

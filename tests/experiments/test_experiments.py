@@ -68,7 +68,10 @@ TIMED = {
 }
 
 
-LONG = {"fig-3.8", "fig-3.10", "fig-5.6", "fig-5.7", "fig-5.10", "ablations-5.1", "prediction"}
+LONG = {
+    "fig-3.8", "fig-3.10", "fig-4.4", "table-4.1", "fig-5.6", "fig-5.7", "fig-5.10",
+    "ablations-5.1", "prediction",
+}  # fmt: skip
 """Quick runs that take long to compile all the same, most of it in code that others run, too."""
 
 

@@ -50,8 +50,6 @@ def expand(
     lz, lzz = lz + added, lzz + squared
 
     disturbance = _noise_terms(problem, zs, ts) if noise else None
-    if disturbance is not None and problem.terms.residuals:
-        disturbance = _weighed(disturbance, slice(None), _after_terms(problem, zs, ts))
     weights = []
     for group in problem.terms.events:
         k, z_gradient, z_hessian, weight, between = _event_terms(problem, group, xs, fz)
@@ -77,7 +75,10 @@ def expand(
 
 
 def _noise_terms(problem: Problem, zs, ts) -> Noise | None:
-    """Return the columns of sqrt(dt) F (T, nw, nx) with their slopes in x and u, None if none."""
+    """Return the columns of sqrt(dt) F (T, nw, nx) with their slopes in x and u, None if none.
+
+    Residuals of the state after a step weigh them within it.
+    """
     noise, plant, nx = problem.noise, problem.plant, problem.plant.nx
     if noise is None:
         return None
@@ -95,7 +96,8 @@ def _noise_terms(problem: Problem, zs, ts) -> Noise | None:
         slopes = slopes[:, np.arange(len(rows.of))[:, None], rows.index]
     cx = slopes[..., :nx] if pattern[..., :nx].any() else None
     cu = slopes[..., nx:] if pattern[..., nx:].any() else None
-    return Noise(c, cx, cu, None if cx is None and cu is None else rows)
+    weight = _after_terms(problem, zs, ts) if problem.terms.residuals else None
+    return Noise(c, cx, cu, None if cx is None and cu is None else rows, weight)
 
 
 def _weighed(noise: Noise, k, weight) -> Noise:

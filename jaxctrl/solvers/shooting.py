@@ -228,7 +228,8 @@ def _search(
 
     nominal = Trial(state.xs, state.us, state.cost, none, jnp.array(False))
     forced = ~state.measured if state.polish is None else ~state.measured | state.polish.going
-    return search(nominal, trial_of, expected_of, state.round_off, wanted=wanted, forced=forced)
+    trial = search(nominal, trial_of, expected_of, state.round_off, wanted=wanted, forced=forced)
+    return trial._replace(fraction=part * trial.fraction)
 
 
 def _settle(state: ShootingState, new: ShootingState, last: Array) -> ShootingState:

@@ -334,7 +334,8 @@ def test_derivatives_of_reaches_are_differences_of_solves(kind):
     problem = jc.tasks.reach(arm, target, 0.5, num_steps=50, motor_noise=0.02)
     report = jc.check_gradients(problem, jc.ILQG(), x0, where=lambda name: name.endswith(wanted))
     assert report.worst < 1e-4, report
-    assert max(row.transposed for row in report.rows) < 1e-10, report
+    # GMRES leaves 3e-13 of the right side; half at bounds, the muscles' system magnifies that.
+    assert max(row.transposed for row in report.rows) < 1e-8, report
 
 
 @pytest.mark.slow
@@ -471,6 +472,9 @@ def test_ends_are_found_where_whole_steps_do_not_contract():
     noisy = solve(jc.ILQG(), jc.SignalDependentNoise(0.2))
     assert noisy.status.ok, noisy.status.message
     np.testing.assert_allclose(noisy.cost, 0.2107310631723175, rtol=1e-7)
+    # Parts of steps are recorded as such.
+    steps = np.asarray(noisy.history.step[1 : int(noisy.num_steps) + 1])
+    assert (steps[-5:] < 1).all() and (steps[-5:] > 0).all()
     # An uncertain start alone leaves the movement what it is.
     uncertain, certain = solve(jc.ILQG(), x0_cov=cov), solve(jc.ILQR())
     np.testing.assert_array_equal(uncertain.us, certain.us)

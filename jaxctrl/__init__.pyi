@@ -31,6 +31,11 @@ from ._controller import (
 )
 from ._cost import FunctionCost as FunctionCost, QuadraticCost as QuadraticCost
 from ._cpu import enable_fast_cpu as enable_fast_cpu
+from ._estimator import (
+    AbstractEstimator as AbstractEstimator,
+    LinearFilter as LinearFilter,
+    OutputFeedback as OutputFeedback,
+)
 from ._evaluate import Evaluation as Evaluation, evaluate as evaluate
 from ._expand import expand as expand
 from ._files import load as load, save as save
@@ -57,6 +62,15 @@ from ._plant import (
 from ._prediction import Prediction as Prediction
 from ._problem import Problem as Problem
 from ._pulses import Pulses as Pulses
+from ._sensor import (
+    AbstractSensor as AbstractSensor,
+    DelayedSensor as DelayedSensor,
+    FunctionSensor as FunctionSensor,
+    HandSensor as HandSensor,
+    JointSensor as JointSensor,
+    LinearSensor as LinearSensor,
+    SumSensor as SumSensor,
+)
 from ._simulate import Trajectory as Trajectory, simulate as simulate
 from ._solution import Solution as Solution, SolveError as SolveError
 from ._solve import solve as solve

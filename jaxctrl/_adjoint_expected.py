@@ -24,9 +24,10 @@ from jax.scipy.sparse.linalg import gmres
 from jaxtyping import Array, Bool, Float
 
 from ._adjoint import instantiate, nan_unless, tame
+from ._estimator import LinearFilter, filter_around
 from ._jacobian import push_forward
 from ._local_model import expand
-from ._prediction import Prediction, noise_cost, predict
+from ._prediction import Prediction, foresee, noise_cost, predict
 from ._problem import Problem
 from ._solver import AbstractSolver
 from .linear._factorised import factorise, solve_factorised
@@ -51,6 +52,7 @@ class Expected(NamedTuple):
     nominal_cost: Float[Array, ""]
     expected_cost: Float[Array, ""]
     prediction: Prediction | None
+    estimator: LinearFilter | None = None
 
 
 def outcome(
@@ -59,11 +61,18 @@ def outcome(
     us: Float[Array, "T nu"],
     K: Float[Array, "T nu nx"],
 ) -> Expected:
-    """Return what gains K (T, nu, nx) around a trajectory xs (T+1, nx), us (T, nu) promise."""
+    """Return what gains K (T, nu, nx) around a trajectory xs (T+1, nx), us (T, nu) promise.
+
+    With a sensor they act on the estimate of the best filter for them.
+    """
     model = expand(problem, xs, us, noise=True)
     cost = problem.total_cost(xs, us)
-    expected = cost + noise_cost(problem, model, K)
-    return Expected(xs, us, K, cost, expected, predict(problem, model, xs, us, K))
+    if model.sensing is None:
+        expected = cost + noise_cost(problem, model, K)
+        return Expected(xs, us, K, cost, expected, predict(problem, model, xs, us, K))
+    prediction, found = foresee(model, xs, us, K)
+    estimator = filter_around(problem, model, xs, us, found)
+    return Expected(xs, us, K, cost, cost + found.cost, prediction, estimator)
 
 
 @eqx.filter_custom_jvp
@@ -106,7 +115,7 @@ def _attach_jvp(primals, tangents):
 def _residual(us, arrays, x0, side, static, solver) -> Float[Array, "T nu"]:
     """Return the model's gradient in the free controls, and how far others are from bounds."""
     problem = eqx.combine(arrays, static)
-    model = solver.expand(problem, problem.rollout(x0, us), us, True)
+    model = solver.known(problem, problem.rollout(x0, us), us, side)
     none = jnp.zeros_like(us)
     rule = Holding(side == 0, none, none, none)
     gradient = sweep(model, rule, lambda step: step.gradient)[1]
@@ -121,7 +130,7 @@ def _solve(us, arrays, x0, side, static, solver, rhs) -> tuple[Array, Array]:
     free = side == 0
     problem = eqx.combine(arrays, static)
     slope = jax.linearize(lambda us: _residual(us, arrays, x0, side, static, solver), us)[1]
-    fixed = jax.lax.stop_gradient(solver.expand(problem, problem.rollout(x0, us), us, True))
+    fixed = jax.lax.stop_gradient(solver.known(problem, problem.rollout(x0, us), us, side))
     near = factorise(fixed, free)
 
     def apply(du):

@@ -12,6 +12,7 @@ from jaxtyping import ArrayLike
 
 from ._checks import check_array, check_instance, check_integer, is_concrete, shape_of
 from ._controller import AffinePolicy
+from ._estimator import OutputFeedback
 from ._jit import jit
 from ._problem import Problem
 from ._solution import Solution
@@ -26,7 +27,7 @@ def solve_batch(
     problem: Problem,
     solver: AbstractSolver,
     x0s: ArrayLike,
-    uss: ArrayLike | AffinePolicy | None = None,
+    uss: ArrayLike | AffinePolicy | OutputFeedback | None = None,
     *,
     max_steps: int = 500,
     chunk: int | None = None,
@@ -69,7 +70,7 @@ def solve_batch(
     for i, (name, value, rank) in enumerate((("x0s", x0s, 1), ("uss", uss, 2)), start=1):
         if value is None:
             continue
-        if rank == 2 and isinstance(value, AffinePolicy):
+        if rank == 2 and isinstance(value, AffinePolicy | OutputFeedback):
             batch = value.us.ndim == 3
             (lanes if batch else fixed)[i] = value
             sizes |= {name: len(value.us)} if batch else {}

@@ -1,4 +1,4 @@
-"""What acts on a plant: an open-loop sequence, or an affine policy around a trajectory."""
+"""What acts on a plant: an open-loop sequence of controls, or an affine policy."""
 
 import abc
 import dataclasses
@@ -92,7 +92,7 @@ class OpenLoop(AbstractController):
     def init(self, problem, belief, key):
         """Return whether the controls were made for the problem's step; raises as `check` does."""
         self.check(problem)
-        return _same_step(self.dt, problem)
+        return same_step(self.dt, problem)
 
     def step(self, memory, y, i, t, key):
         """Return the control us[i], shape (nu,); NaN for another problem's, or beyond the last."""
@@ -102,8 +102,8 @@ class OpenLoop(AbstractController):
 class AffinePolicy(AbstractController):
     """The policy u = u_nominal + k + K (x - x_nominal), clipped to the control bounds.
 
-    It fits problems of its own sizes and time step: others are refused, or, where dt is traced,
-    give NaN.
+    It fits problems of its own sizes and time step whose state is known: others are refused, or,
+    where dt is traced, give NaN.
 
     Attributes:
         xs: nominal states, shape (T+1, nx).
@@ -125,6 +125,11 @@ class AffinePolicy(AbstractController):
         """Raise ValueError for a problem of other sizes than xs (T+1, nx), us (T, nu), or step."""
         T, nx, nu = problem.num_steps, problem.plant.nx, problem.plant.nu
         _check_shapes(self, problem, us=(T, nu), xs=(T + 1, nx), k=(T, nu), K=(T, nu, nx))
+        if problem.sensor is not None:
+            raise ValueError(
+                "AffinePolicy: it acts on the state, of which the problem's sensor tells only a "
+                "part: solve with jc.ILQG(), or take the sensor out of the problem"
+            )
 
     def init(self, problem, belief, key):
         """Return whether the policy was made for the problem's step; raises as `check` does.
@@ -132,7 +137,7 @@ class AffinePolicy(AbstractController):
         `belief` (nx,) is not used.
         """
         self.check(problem)
-        return _same_step(self.dt, problem)
+        return same_step(self.dt, problem)
 
     def step(self, memory, y, i, t, key):
         """Return the control for the sensed state y (nx,) at step i, shape (nu,).
@@ -162,15 +167,14 @@ class AffinePolicy(AbstractController):
             )
         if not 0 <= start <= self.us.shape[0]:
             raise ValueError(f"n: 0 to {self.us.shape[0]} steps are wanted, got {start}")
-        return _shift(self, np.asarray(start))
+        rows = drop_rows(dataclasses.replace(self, dt=None), np.asarray(start))
+        return dataclasses.replace(rows, dt=self.dt)
 
 
 @eqx.filter_jit
-def _shift(policy: AffinePolicy, n: ArrayLike) -> AffinePolicy:
-    """Drop the first n rows of every array that leads with time, and hold the last one."""
-    rows = dataclasses.replace(policy, dt=None)
-    moved = jax.tree.map(lambda a: a[jnp.minimum(jnp.arange(len(a)) + n, len(a) - 1)], rows)
-    return dataclasses.replace(moved, dt=policy.dt)
+def drop_rows(rows: Any, n: ArrayLike) -> Any:
+    """Drop the first n rows of arrays that all lead with time, and hold the last one."""
+    return jax.tree.map(lambda a: a[jnp.minimum(jnp.arange(len(a)) + n, len(a) - 1)], rows)
 
 
 def _check_shapes(controller: Any, problem: Problem, **wanted: tuple[int, ...]) -> None:
@@ -199,7 +203,7 @@ def _check_shapes(controller: Any, problem: Problem, **wanted: tuple[int, ...]) 
             )
 
 
-def _same_step(dt: Array | None, problem: Problem) -> Bool[Array, ""]:
+def same_step(dt: Array | None, problem: Problem) -> Bool[Array, ""]:
     """Tell whether dt is the problem's time step, or none at all."""
     if dt is None:
         return jnp.array(True)

@@ -21,6 +21,7 @@ import numpy as np
 
 from ._checks import is_concrete
 from ._controller import AffinePolicy
+from ._estimator import LinearFilter, OutputFeedback
 from ._prediction import Prediction
 from ._solution import Solution
 from ._solver import Record
@@ -30,12 +31,17 @@ from ._version import __version__
 LAYOUT = 1
 """Number of the layout described above; a file of a higher number is refused."""
 
-_CLASSES = {cls.__name__: cls for cls in (Solution, Prediction, AffinePolicy, Status, Record)}
+_CLASSES = {
+    cls.__name__: cls
+    for cls in (
+        Solution, Prediction, AffinePolicy, OutputFeedback, LinearFilter, Status, Record,
+    )
+}  # fmt: skip
 _COMMENT = re.compile(rb"jaxctrl layout (\d{4}) sha256 ([0-9a-f]{64})")
 _LENGTH = len("jaxctrl layout 0001 sha256 ") + 64
 
 
-def save(path: str | os.PathLike, value: Solution | AffinePolicy) -> None:
+def save(path: str | os.PathLike, value: Solution | AffinePolicy | OutputFeedback) -> None:
     """Save a solution, a policy, or a batch of them in one file.
 
     The file is written beside `path`, forced to the disk and renamed, so that an interruption
@@ -48,7 +54,7 @@ def save(path: str | os.PathLike, value: Solution | AffinePolicy) -> None:
     Raises TypeError for another value, ValueError for a traced one, OSError naming the path where
     it cannot be written.
     """
-    if not isinstance(value, Solution | AffinePolicy):
+    if not isinstance(value, Solution | AffinePolicy | OutputFeedback):
         raise TypeError(f"value: a solution or a policy is wanted, got a {type(value).__name__}")
     if not is_concrete(*jax.tree.leaves(eqx.filter(value, eqx.is_array))):
         raise ValueError(

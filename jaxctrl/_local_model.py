@@ -1,5 +1,7 @@
 """The linear-quadratic expansion of a problem along a trajectory, by automatic differentiation."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +10,8 @@ from jaxtyping import Array, Bool, Float
 from ._jacobian import dependence, gradient, jacobian, value_and_gradient
 from ._noise import diffusion
 from ._problem import Problem
-from ._types import LocalModel, Noise, Rows
+from ._sensor import reading, reading_noise
+from ._types import LocalModel, Noise, Rows, Sensing
 from .linear._riccati import costates
 
 
@@ -29,7 +32,8 @@ def expand(
             of `AbstractResidual`s: l_zz += p' f_zz + rho' rho_zz, z = (x, u). The
             model is then that of Newton's method in the controls; without, of Gauss and Newton's.
             May be traced.
-        noise: expand the problem's noise, too, to first order: sqrt(dt) F and its slopes.
+        noise: expand the problem's noise, too, to first order: sqrt(dt) F and its slopes; and its
+            sensor with that noise, G/sqrt(dt).
 
     Returns: `LocalModel`; the cost blocks include the time step, and events are folded in: an event
     between x_k and x_{k+1} = f(x_k, u_k) is a function of (x_k, u_k).
@@ -58,7 +62,8 @@ def expand(
         weights.append((k, weight))
         if disturbance is not None:
             disturbance = _weighed(disturbance, k, between)
-    model = _blocks(fz, lz, lzz, vx, vxx, disturbance)
+    uncertain = {"noise": disturbance} | (_uncertain(problem, zs, xs[0], ts) if noise else {})
+    model = _blocks(fz, lz, lzz, vx, vxx)._replace(**uncertain)
     if second_order is False:
         return model
 
@@ -71,7 +76,15 @@ def expand(
         return lzz + _curvature(problem, zs, ts, p, rho)
 
     lzz = exact() if second_order is True else jax.lax.cond(second_order, exact, lambda: lzz)
-    return _blocks(fz, lz, lzz, vx, vxx, disturbance)
+    return _blocks(fz, lz, lzz, vx, vxx)._replace(**uncertain)
+
+
+def _uncertain(problem: Problem, zs, x0, ts) -> dict[str, Any]:
+    """Return what is sensed, and the start's spread, where there is a sensor."""
+    if problem.sensor is None:
+        return {}
+    cov = jnp.zeros((x0.size, x0.size), x0.dtype) if problem.x0_cov is None else problem.x0_cov
+    return {"sensing": _sensing_terms(problem, zs[:, : x0.size], ts), "x0_cov": cov}
 
 
 def _noise_terms(problem: Problem, zs, ts) -> Noise | None:
@@ -87,17 +100,27 @@ def _noise_terms(problem: Problem, zs, ts) -> Noise | None:
         F = jnp.sqrt(problem.rate) * diffusion(noise, plant, z[:nx], z[nx:], t)
         return F.T.reshape(-1)
 
+    c, slopes, rows, sloping = _columns(columns, zs, ts, nx)
+    cx = slopes[..., :nx] if sloping[:nx].any() else None
+    cu = slopes[..., nx:] if sloping[nx:].any() else None
+    weight = _after_terms(problem, zs, ts) if problem.terms.residuals else None
+    return Noise(c, cx, cu, rows, weight)
+
+
+def _columns(columns, zs, ts, n: int) -> tuple[Array, Array, Rows | None, np.ndarray]:
+    """Expand the columns (nw n,) that a function returns of z (nz,) and t along a trajectory.
+
+    Returns: columns (T, nw, n), their slopes (T, nw, r, nz) in the rows named, and of which
+    entries of z there are any, (nz,).
+    """
     c = jax.vmap(columns)(zs, ts)
     slopes = jax.vmap(jacobian(columns))(zs, ts)
-    c, slopes = c.reshape(len(zs), -1, nx), slopes.reshape(len(zs), -1, nx, zs.shape[1])
-    pattern = dependence(columns, zs[0], ts[0]).reshape(-1, nx, zs.shape[1])
+    c, slopes = c.reshape(len(zs), -1, n), slopes.reshape(len(zs), -1, n, zs.shape[1])
+    pattern = dependence(columns, zs[0], ts[0]).reshape(-1, n, zs.shape[1])
     rows = _rows(np.asarray(pattern.any(axis=2)))
     if rows is not None:
         slopes = slopes[:, np.arange(len(rows.of))[:, None], rows.index]
-    cx = slopes[..., :nx] if pattern[..., :nx].any() else None
-    cu = slopes[..., nx:] if pattern[..., nx:].any() else None
-    weight = _after_terms(problem, zs, ts) if problem.terms.residuals else None
-    return Noise(c, cx, cu, None if cx is None and cu is None else rows, weight)
+    return c, slopes, rows, np.asarray(pattern.any(axis=(0, 1)))
 
 
 def _weighed(noise: Noise, k, weight) -> Noise:
@@ -117,6 +140,23 @@ def _after_terms(problem: Problem, zs, ts) -> Float[Array, "T nx nx"]:
     after = jax.vmap(lambda z, t: problem.step(z[:nx], z[nx:], t))(zs, ts)
     slopes = jax.vmap(jacobian(residual))(after, zs, jnp.arange(len(zs)))
     return jnp.einsum("tmx,tmy->txy", slopes, slopes)
+
+
+def _sensing_terms(problem: Problem, xs, ts) -> Sensing:
+    """Return what is sensed, to first order, and the columns of G/sqrt(dt)."""
+    sensor, plant = problem.sensor, problem.plant
+    assert sensor is not None
+
+    def sensed(x, t):
+        return reading(sensor, plant, x, t)
+
+    def columns(x, t):
+        return (reading_noise(sensor, plant, x, t) / jnp.sqrt(problem.rate)).T.reshape(-1)
+
+    F, y = jax.vmap(jacobian(sensed))(xs, ts), jax.vmap(sensed)(xs, ts)
+    F = jnp.where(jnp.isfinite(y)[..., None], F, jnp.nan)  # log(-1) has a slope
+    d, slopes, rows, sloping = _columns(columns, xs, ts, F.shape[1])
+    return Sensing(F, noise=Noise(d, slopes if sloping.any() else None, rows=rows))
 
 
 def _rows(sloping: np.ndarray) -> Rows | None:
@@ -196,7 +236,7 @@ def _event_terms(problem: Problem, group, xs, fz):
     return k, z_gradient, z_hessian, fraction[:, None] * slope, own
 
 
-def _blocks(fz, lz, lzz, vx, vxx, noise) -> LocalModel:
+def _blocks(fz, lz, lzz, vx, vxx) -> LocalModel:
     nx = vx.size
     return LocalModel(
         fx=fz[:, :, :nx],
@@ -208,7 +248,6 @@ def _blocks(fz, lz, lzz, vx, vxx, noise) -> LocalModel:
         luu=lzz[:, nx:, nx:],
         vx=vx,
         vxx=vxx,
-        noise=noise,
     )
 
 

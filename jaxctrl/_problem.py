@@ -1,4 +1,4 @@
-"""A control problem: a plant, a cost, noise and bounds on a grid of time."""
+"""A control problem: a plant, a cost, noise, a sensor and bounds on a grid of time."""
 
 import equinox as eqx
 import jax
@@ -7,10 +7,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
 from ._checks import check_array, check_instance, check_integer, is_concrete, shape_of
+from ._delay import delayed, unchanged, with_buffers
 from ._function import closed
 from ._integrate import AbstractIntegrator, Euler, NextState
 from ._noise import AbstractNoise
 from ._plant import AbstractPlant, check_plant, nominal_control
+from ._sensor import AbstractSensor, num_readings
 from ._terms import AbstractCost, At, Events, Terms, check, parts, terms
 from ._types import Bounds, array_leaf, as_bounds, clip
 
@@ -29,6 +31,9 @@ class Problem(eqx.Module):
         dt: time step [s].
         noise: process noise, or None; several by `+`. `ILQG` plans with it, `ILQR` without;
             `simulate` lets it act.
+        sensor: what a controller is told of the state, such as `JointSensor()`, several by `+`;
+            None, where it knows the state. `ILQG` plans with it, a filter beside the law; `ILQR`
+            without.
         x0_cov: covariance of the first state around the x0 that is given, shape (nx, nx), positive
             semidefinite; None, where it is known exactly. `simulate` draws the start from it.
         control_bounds: (lower, upper), scalars or shapes (nu,) or (T, nu); None takes the plant's
@@ -47,6 +52,7 @@ class Problem(eqx.Module):
     num_steps: int = eqx.field(static=True)
     dt: Float[Array, ""]
     noise: AbstractNoise | None
+    sensor: AbstractSensor | None
     control_bounds: Bounds | None
     integrator: AbstractIntegrator
     x0_cov: Float[Array, "nx nx"] | None
@@ -59,6 +65,7 @@ class Problem(eqx.Module):
         num_steps: int,
         dt: ArrayLike = 0.01,
         noise: AbstractNoise | None = None,
+        sensor: AbstractSensor | None = None,
         x0_cov: ArrayLike | None = None,
         control_bounds: tuple[ArrayLike, ArrayLike] | None = None,
         integrator: AbstractIntegrator | None = None,
@@ -69,6 +76,9 @@ class Problem(eqx.Module):
             "noise", noise, AbstractNoise | None, "jc.SignalDependentNoise or its like is wanted"
         )
         check_instance(
+            "sensor", sensor, AbstractSensor | None, "jc.JointSensor() or its like is wanted"
+        )
+        check_instance(
             "integrator", integrator, AbstractIntegrator | None, "jc.RK4() or its like is wanted"
         )
         check_plant(plant)
@@ -77,6 +87,7 @@ class Problem(eqx.Module):
         self.num_steps = num_steps = check_integer("num_steps", num_steps, 1)
         self.dt = array_leaf(dt, "dt")
         self.noise = closed(noise)
+        self.sensor = closed(with_buffers(sensor, self.dt, num_steps))
         self.control_bounds = as_bounds(
             control_bounds, _bounds_shape(control_bounds, plant.nu, num_steps)
         )
@@ -97,6 +108,7 @@ class Problem(eqx.Module):
             raise ValueError(f"dt: one number is wanted, got shape {self.dt.shape}")
         if is_concrete(self.dt) and not np.asarray(self.dt) > 0:  # jnp would trace it, under jit
             raise ValueError(f"dt: a positive time step is wanted, got {self.dt}")
+        with_buffers(self.sensor, self.dt, self.num_steps)
         _check_covariance("x0_cov", self.x0_cov, self.plant.nx)
         bounds = self.bounds
         if bounds is not None and is_concrete(*bounds):
@@ -173,6 +185,32 @@ class Problem(eqx.Module):
     ) -> Float[Array, " nx"]:
         """Return the state (nx,) one step after x (nx,) at time t [s] under u (nu,)."""
         return self.integrator(self.plant, x, u, t, self.dt)
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether anything is random: the start, the movement, or what is sensed."""
+        return not (self.noise is None and self.sensor is None and self.x0_cov is None)
+
+    @property
+    def num_readings(self) -> int:
+        """The number of readings that a controller is told, ny: nx without a sensor."""
+        if self.sensor is None:
+            return self.plant.nx
+        x = jax.ShapeDtypeStruct((self.plant.nx,), self.dt.dtype)
+        return num_readings(self.sensor, self.plant, x, self.dt)
+
+    def lift(self, x: Float[Array, " nx"]) -> Float[Array, " nz"]:
+        """Return the state (nz,) that a solver plans in, for a state x (nx,) that has lasted.
+
+        With delayed sensors, what has been sensed of it follows; otherwise it is x itself.
+        """
+        if self.sensor is None or not delayed(self.sensor):
+            return x
+        return jnp.concatenate([x, unchanged(self.sensor, self.plant, x, self.ts[0])])
+
+    def project(self, xs: Float[Array, "*batch nz"]) -> Float[Array, "*batch nx"]:
+        """Return the plant's own states (*batch, nx) of states that a solver plans in."""
+        return xs[..., : self.plant.nx]
 
     def rollout(self, x0: Float[Array, " nx"], us: Float[Array, "T nu"]) -> Float[Array, "T+1 nx"]:
         """Return the states (T+1, nx) from x0 (nx,) under the controls us (T, nu), unclipped."""

@@ -22,6 +22,8 @@ class Pulses(eqx.Module):
 
     x_{k+1} = step of f(x, u_k, t) + (0, M^-1 J'F_k, 0), plus states_k;    y_k = x_k + sensed_k
 
+    With a sensor y_k is what that says of x_k, plus sensed_k.
+
     What acts from some time on is the same in every row from there. A cursor that jumps is an
     offset of what is sensed; a target that jumps by d is, to a policy made for the first target,
     the same as a hand sensed at -d. The problem's cost does not follow: where the target moved, the
@@ -47,9 +49,13 @@ class Pulses(eqx.Module):
     states: Float[Array, "T nx"] | None = eqx.field(converter=_rows, default=None)
     sensed: Float[Array, "T ny"] | None = eqx.field(converter=_rows, default=None)
 
-    def check(self, plant: AbstractPlant, num_steps: int) -> None:
-        """Raise ValueError when these are none for a plant (nx,) and a number of steps."""
-        widths: dict[str, int] = {"states": plant.nx, "sensed": plant.nx}
+    def check(self, plant: AbstractPlant, num_steps: int, num_readings: int | None = None) -> None:
+        """Raise ValueError for a plant (nx,), a number of steps or of readings that these miss.
+
+        What is sensed is the state, (nx,), if no number of readings is given.
+        """
+        sensed = plant.nx if num_readings is None else num_readings
+        widths: dict[str, int] = {"states": plant.nx, "sensed": sensed}
         if self.forces is not None:
             widths["forces"] = _dim(plant)
         for name, width in widths.items():

@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ._checks import check_again, converted, is_concrete
 from ._controller import AbstractController, AffinePolicy, OpenLoop
+from ._delay import shifted, told, unchanged
 from ._function import closed
 from ._jit import jit
 from ._linalg import is_covariance, matmul, root
@@ -18,6 +19,7 @@ from ._noise import AbstractNoise, diffusion
 from ._plant import AbstractPlant
 from ._problem import Problem, check_x0
 from ._pulses import Pulses, Pushed
+from ._sensor import reading_noise
 from ._terms import check
 from ._types import promote
 
@@ -59,8 +61,9 @@ def simulate(
     """Run a controller from x0 for the problem's duration.
 
     dx = f(x, u, t) dt + F(x, u, t) dw, by the problem's integrator plus sqrt(dt) F xi (Euler and
-    Maruyama, in the sense of Ito); for a discrete plant x' = f(x, u, t) + F xi. Trials are made by
-    `jax.vmap` over keys.
+    Maruyama, in the sense of Ito); for a discrete plant x' = f(x, u, t) + F xi. The controller is
+    told the state, or what the problem's sensor says of it, y = g(x, t) + G eta/sqrt(dt). Trials
+    are made by `jax.vmap` over keys.
 
     Arguments:
         problem: grid, plant, cost and noise. All arrays among the arguments are promoted to one
@@ -69,7 +72,8 @@ def simulate(
         x0: true starting state, shape (nx,); with a key and the problem's `x0_cov`, the mean of the
             normal distribution from which it is drawn.
         belief: where the controller believes to start, shape (nx,); x0 by default.
-        key: a `jax.random.key`; without one nothing is random and the problem's noise is off.
+        key: a `jax.random.key`; without one nothing is random: the problem's noise is off, and its
+            sensor's.
         plant, noise: what really moves and disturbs, where that differs from the problem's. The
             controller is handed the problem as it is.
         pulses: perturbations from outside.
@@ -95,17 +99,17 @@ def simulate(
     noise = _check_noise(problem.noise if noise is None else noise, noise is not None, key)
     if key is not None:
         check_key(key)
-        silent = noise is None and problem.x0_cov is None
+        silent = noise is None and problem.x0_cov is None and problem.sensor is None
         if silent and isinstance(controller, AffinePolicy | OpenLoop):
             warnings.warn(
                 "key: given, but nothing is random: neither the problem nor this call has `noise`, "
-                "nor the problem an `x0_cov`",
+                "nor the problem an `x0_cov` or a `sensor`",
                 stacklevel=2,
             )
     pulses = Pulses() if pulses is None else pulses
     if not isinstance(pulses, Pulses):
         raise TypeError(f"pulses: jc.Pulses are wanted, got {pulses!r}")
-    pulses.check(mover, problem.num_steps)
+    pulses.check(mover, problem.num_steps, problem.num_readings)
     check(problem.cost, problem.plant)
     problem, controller, mover, noise = closed((problem, controller, mover, noise))
     problem, controller, mover, noise, pulses, x0, belief = promote(
@@ -164,13 +168,15 @@ def check_key(key) -> None:
 @jit
 def _run(problem: Problem, controller, plant, noise, pulses, x0, belief, key) -> Trajectory:
     T, scale = problem.num_steps, jnp.sqrt(problem.rate)
-    start_key, keys, xis = None, None, None
+    start_key, keys, xis, etas = None, None, None, None
     if key is not None:
         start_key, steps_key = jax.random.split(key)
         pairs = jax.vmap(jax.random.split)(jax.random.split(steps_key, T))
         keys = pairs[:, 1]
         if noise is not None:
             xis = _draws(noise, plant, problem, x0, pairs[:, 0])
+        if problem.sensor is not None:
+            etas = _readings_draws(problem, plant, x0, jax.random.fold_in(start_key, 1))
         if problem.x0_cov is not None:
             xi = jax.random.normal(jax.random.fold_in(start_key, 0), x0.shape, x0.dtype)
             valid = is_covariance(problem.x0_cov)  # where it was traced, no eager check could tell
@@ -178,9 +184,10 @@ def _run(problem: Problem, controller, plant, noise, pulses, x0, belief, key) ->
     _check_step(problem, controller, belief, start_key)
 
     def body(carry, inputs):
-        x, memory = carry
-        i, t, key, xi, pulse = inputs
-        y = x if pulse.sensed is None else x + pulse.sensed
+        x, past, memory = carry
+        i, t, key, xi, eta, pulse = inputs
+        y, past = _sense(problem, plant, x, past, t, eta)
+        y = y if pulse.sensed is None else y + pulse.sensed
         memory, u = controller.step(memory, y, i, t, key)
         pushed = plant if pulse.forces is None else Pushed(plant, pulse.forces)
         after = problem.integrator(pushed, x, u, t, problem.dt)
@@ -188,12 +195,12 @@ def _run(problem: Problem, controller, plant, noise, pulses, x0, belief, key) ->
             after = after + pulse.states
         if noise is not None and xi is not None:
             after = after + scale * matmul(diffusion(noise, plant, x, u, t), xi)
-        return (after, memory), (after, u, y)
+        return (after, past, memory), (after, u, y)
 
     # A time step that was traced until now may be what no eager check could refuse.
     x0 = jnp.where(problem.dt > 0, x0, jnp.nan)
-    carry = (x0, controller.init(problem, belief, start_key))
-    inputs = (jnp.arange(T), problem.ts[:-1], keys, xis, pulses)
+    carry = (x0, _unsensed_yet(problem, plant, x0), controller.init(problem, belief, start_key))
+    inputs = (jnp.arange(T), problem.ts[:-1], keys, xis, etas, pulses)
     _, (xs, us, ys) = jax.lax.scan(body, carry, inputs)
     xs = jnp.concatenate([x0[None], xs])
     moved = eqx.tree_at(lambda p: p.plant, problem, plant)
@@ -210,6 +217,32 @@ def _draws(noise: AbstractNoise, plant, problem: Problem, x0, keys) -> Float[Arr
     return jax.vmap(lambda key: jax.random.normal(key, F.shape[1:], F.dtype))(keys)
 
 
+def _unsensed_yet(problem: Problem, plant, x0) -> Array | None:
+    """Return what a delayed sensor has of the time before the start."""
+    if problem.sensor is None:
+        return None
+    return unchanged(problem.sensor, plant, x0, problem.ts[0])
+
+
+def _sense(problem: Problem, plant, x, past, t, eta) -> tuple[Array, Array | None]:
+    """Return what is told of x (nx,) at time t, noise eta included, and what is remembered then."""
+    sensor = problem.sensor
+    if sensor is None:
+        return x, None
+    y, G = told(sensor, plant, past, x, t, problem.dt)
+    if eta is not None:
+        y = y + matmul(G, eta) / jnp.sqrt(problem.rate)
+    return y, shifted(sensor, plant, past, x, t)
+
+
+def _readings_draws(problem: Problem, plant, x0, key) -> Float[Array, "T nv"]:
+    """Return eta ~ N(0, I) of every step."""
+    sensor, t = problem.sensor, problem.ts[0]
+    assert sensor is not None
+    G = jax.eval_shape(lambda: reading_noise(sensor, plant, x0, t))
+    return jax.random.normal(key, (problem.num_steps, G.shape[1]), G.dtype)
+
+
 def _check_step(problem: Problem, controller: AbstractController, belief, key) -> None:
     """Trace a controller once: its own exceptions pass with a note, other shapes are named."""
     name, T = type(controller).__name__, problem.num_steps
@@ -218,15 +251,17 @@ def _check_step(problem: Problem, controller: AbstractController, belief, key) -
     except Exception as error:
         error.add_note(f"raised while {name}.init(problem, belief, key) was traced")
         raise
+    y = jax.ShapeDtypeStruct((problem.num_readings,), belief.dtype)
     try:
         out = jax.eval_shape(
-            lambda memory, i: controller.step(memory, belief, i, problem.ts[i], key),
+            lambda memory, y, i: controller.step(memory, y, i, problem.ts[i], key),
             memory,
+            y,
             jnp.arange(T)[0],
         )
     except Exception as error:
         error.add_note(
-            f"raised while {name}.step(memory, y, i, t, key) was traced, with y {belief.shape}; "
+            f"raised while {name}.step(memory, y, i, t, key) was traced, with y {y.shape}; "
             "use jnp.where or jax.lax.cond where it depends on values"
         )
         raise

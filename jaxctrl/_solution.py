@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from ._checks import is_concrete
 from ._controller import AffinePolicy
+from ._estimator import LinearFilter, OutputFeedback
 from ._prediction import Prediction
 from ._solver import Record
 from ._status import Reason, Status
@@ -36,7 +37,8 @@ class Solution(eqx.Module):
         xs: states, shape (T+1, nx). us: controls, shape (T, nu).
         nominal_cost: cost of this trajectory. expected_cost: cost expected under the problem's
             noise when the solver plans with it; otherwise equal to the nominal one.
-        policy: the affine policy around the trajectory; hand it to `simulate`.
+        policy: the affine policy around the trajectory; hand it to `simulate`. Of a solver that
+            plans with the problem's sensor, that policy with an estimator, an `OutputFeedback`.
         status: why the solver stopped: `status.ok`, `status.message`.
         gradient: projected gradient of the returned iterate, in the solver's relative measure.
         history: cost, projected gradient, accepted fraction and lambda of each iterate, each of
@@ -52,7 +54,7 @@ class Solution(eqx.Module):
     us: Float[Array, "*batch T nu"]
     nominal_cost: Float[Array, " *batch"]
     expected_cost: Float[Array, " *batch"]
-    policy: AffinePolicy
+    policy: AffinePolicy | OutputFeedback
     status: Status
     gradient: Float[Array, " *batch"]
     history: Record
@@ -70,9 +72,11 @@ class Solution(eqx.Module):
         Dimensions: `batch` (`batch_0`, ... for several), `time` (T+1,), `step` (T,), `state`,
         `control`, `iterate`. Coordinates: `ts` [s] of the states, `step_ts` [s] of the starts of
         the steps. The gains are `K` and `k`, `lower` and `upper` the bounds if any, `reason` names
-        the status, whose message is an attribute; predicted covariances, if any, are `x_cov` and
-        `u_cov`. `solution.to_xarray().to_netcdf(path)` writes a file for other programs; `jc.save`
-        one to go on with.
+        the status, whose message is an attribute; predicted covariances, if any, are `x_cov`,
+        `u_cov` and `error_cov`. With a sensor `K` acts on a `belief`, which a filter of gains `G`
+        makes of the `reading`s.
+        `solution.to_xarray().to_netcdf(path)` writes a file for other programs; `jc.save` one to go
+        on with.
 
         Raises ValueError under jit, vmap or grad.
         """
@@ -99,7 +103,7 @@ class Solution(eqx.Module):
         return "\n".join(lines)
 
 
-def _held(policy: AffinePolicy) -> list[tuple[str, str]]:
+def _held(policy: AffinePolicy | OutputFeedback) -> list[tuple[str, str]]:
     """Say how many controls lie on a bound: gains of zero are no fault there."""
     if policy.bounds is None or not is_concrete(policy.us, policy.K, *policy.bounds):
         return []
@@ -117,11 +121,12 @@ def _dataset(solution: Solution) -> "xarray.Dataset":
     policy, code = solution.policy, np.asarray(solution.status.code)
     batch = ("batch",) if code.ndim == 1 else tuple(f"batch_{i}" for i in range(code.ndim))
     reasons = np.array([Reason(int(c)).name for c in code.reshape(-1)]).reshape(code.shape)
+    sensed = isinstance(policy, OutputFeedback)
     variables = {
         "xs": (("time", "state"), solution.xs),
         "us": (("step", "control"), solution.us),
         "k": (("step", "control"), policy.k),
-        "K": (("step", "control", "state"), policy.K),
+        "K": (("step", "control", "belief" if sensed else "state"), policy.K),
         "nominal_cost": ((), solution.nominal_cost),
         "expected_cost": ((), solution.expected_cost),
         "reason": ((), reasons),
@@ -131,9 +136,13 @@ def _dataset(solution: Solution) -> "xarray.Dataset":
     }
     if solution.prediction is not None:
         variables["x_cov"] = (("time", "state", "state_"), solution.prediction.x_cov)
+        if solution.prediction.error_cov is not None:
+            variables["error_cov"] = (("time", "state", "state_"), solution.prediction.error_cov)
         variables["u_cov"] = (("step", "control", "control_"), solution.prediction.u_cov)
     for name, values in solution.history._asdict().items():
         variables[f"history_{name}"] = (("iterate",), values)
+    if sensed and isinstance(policy.estimator, LinearFilter):
+        variables["G"] = (("step", "belief", "reading"), policy.estimator.G)
     if policy.bounds is not None:
         for name, bound in zip(("lower", "upper"), policy.bounds, strict=True):
             variables[name] = (("step", "control"), bound)

@@ -1,8 +1,6 @@
 """The one loop that drives every iterative solver, and where its adjoint is attached."""
 
 import warnings
-from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -23,17 +21,23 @@ from ._checks import (
     mark_checked,
 )
 from ._controller import AffinePolicy
-from ._function import closed, describe
+from ._delay import delayed
+from ._estimator import OutputFeedback
+from ._function import closed
 from ._jit import jit
-from ._noise import diffusion
+from ._lifted import lifted
+from ._prediction import Prediction
 from ._problem import Problem, check_us, check_x0
 from ._simulate import simulate
 from ._solution import Solution, SolveError, last_finite
+from ._solve_checks import check_finite, check_functions
 from ._solver import AbstractDirectSolver, AbstractSolver, Found, Record
 from ._status import Reason, Status
-from ._terms import At, check, parts
+from ._terms import check, parts
 from ._types import promote
+from ._unseen import warn_unseen
 
+POLICIES = AffinePolicy | OutputFeedback
 LARGEST_HISTORY = 1.0
 """What the record of all iterations may take [GB]."""
 
@@ -42,7 +46,7 @@ def solve(
     problem: Problem,
     solver: AbstractSolver | AbstractDirectSolver,
     x0: ArrayLike,
-    us: ArrayLike | AffinePolicy | None = None,
+    us: ArrayLike | AffinePolicy | OutputFeedback | None = None,
     *,
     max_steps: int = 500,
     throw: bool = False,
@@ -82,22 +86,24 @@ def solve(
         problem.check_single()
         check_again(problem)
     start = check_x0(problem, x0)
-    controls = roll(problem, us, start) if isinstance(us, AffinePolicy) else check_us(problem, us)
+    controls = roll(problem, us, start) if isinstance(us, POLICIES) else check_us(problem, us)
     given = problem
     problem, start, controls = promote((closed(problem), start, controls))
     if fresh:
-        _check_finite(problem)
+        check_finite(problem)
         check(problem.cost, problem.plant)
         mark_checked(given)
     for part in parts(problem.cost):
         if (check_start := getattr(part, "check_start", None)) is not None:
             check_start(problem.plant, start)
     _warn(problem, solver, start.dtype)
+    if fresh and problem.sensor is not None and getattr(solver, "stochastic", False):
+        warn_unseen(problem, start)
     solution = run(problem, solver, start, controls, max_steps)
     return _throw(solution) if throw else solution
 
 
-def roll(problem: Problem, policy: AffinePolicy, x0: Array) -> Array:
+def roll(problem: Problem, policy: AffinePolicy | OutputFeedback, x0: Array) -> Array:
     """Return a policy's controls (T, nu) in closed loop from x0 (nx,), as constants."""
     leaves, rest = eqx.partition((problem, policy, x0), eqx.is_array)
     return simulate(*eqx.combine(jax.lax.stop_gradient(leaves), rest)).us
@@ -115,27 +121,12 @@ def check_max_steps(max_steps: int) -> int:
     return max_steps
 
 
-def _check_finite(problem: Problem) -> None:
-    """Raise ValueError naming the first concrete parameter that is not finite; bounds may be."""
-    parts = {"plant": problem.plant, "cost": problem.cost, "noise": problem.noise}
-    for path, leaf in jax.tree_util.tree_leaves_with_path(parts):
-        name = parts_name(path)
-        if not eqx.is_inexact_array(leaf) or not is_concrete(leaf) or "control_bounds" in name:
-            continue
-        if not np.isfinite(np.asarray(leaf)).all():
-            raise ValueError(f"problem: {name} is not finite: {leaf}")
-
-
-def parts_name(path) -> str:
-    """Write a pytree path as `plant.m2`."""
-    return jax.tree_util.keystr(path).replace("['", "").replace("']", "")
-
-
 def _warn(problem: Problem, solver: AbstractSolver | AbstractDirectSolver, dtype) -> None:
-    if problem.noise is not None and not getattr(solver, "stochastic", False):
+    ignored = [name for name in ("noise", "sensor") if getattr(problem, name) is not None]
+    if ignored and not getattr(solver, "stochastic", False):
         warnings.warn(
-            f"{type(solver).__name__} minimises the nominal cost: it ignores the problem's noise, "
-            "which acts in `simulate` alone; jc.ILQG() plans with it",
+            f"{type(solver).__name__} minimises the nominal cost: it ignores the problem's "
+            f"{' and '.join(ignored)}, which acts in `simulate` alone; jc.ILQG() plans with it",
             stacklevel=3,
         )
     eps = float(jnp.finfo(dtype).eps)
@@ -151,119 +142,22 @@ def _warn(problem: Problem, solver: AbstractSolver | AbstractDirectSolver, dtype
             )
 
 
-def _check_functions(problem: Problem, x0: Array, us: Array) -> None:
-    """Trace the plant and the cost once; their own exceptions pass, with a line of help."""
-    for k, (name, _, (shape, wanted)) in enumerate(_calls(problem, x0, us[0])):
-        out = _traced(problem, k, x0, us[0])
-        got = getattr(out, "shape", None)
-        if got is None:
-            raise TypeError(
-                f"{name}: returned a {type(out).__name__}, wanted one array {wanted}; jnp.array "
-                "or jnp.stack makes it one"
-            )
-        if (got != shape) if shape is not None else len(got) != 1:
-            raise ValueError(f"{name}: returned {got}, wanted {wanted}")
-        if out.dtype != x0.dtype:
-            raise TypeError(
-                f"{name}: returned {out.dtype} from {x0.dtype} arguments; write constants as "
-                "Python numbers, or give the arrays it uses to it as `params`"
-            )
-
-
-def _calls(problem: Problem, x: Array, u: Array) -> tuple[tuple[str, Callable, Any], ...]:
-    """Return what a solve calls: names, functions without arguments, the shapes they return."""
-    plant, t, terms = problem.plant, problem.ts[0], problem.terms
-    scalar, i = ((), "()"), jnp.array(0)
-    at = At(x, u, None, t, i, problem.dt, t)
-    dynamics = problem.step if plant.discrete else plant
-    return (
-        ("plant", lambda: dynamics(x, u, t), (x.shape, f"({plant.nx},)")),
-        *(
-            ("noise", lambda noise=noise: _flat(diffusion(noise, plant, x, u, t)), (None, "(m,)"))
-            for noise in (problem.noise,)
-            if noise is not None
-        ),
-        *((name, lambda rate=rate: rate(plant, at), scalar) for rate, name in terms.rates),
-        *(
-            (name, lambda rho=rho: rho(plant, at._replace(after=x)), (None, "(m,)"))
-            for rho, name in terms.residuals
-        ),
-        *((name, lambda end=end: end(plant, x), scalar) for end, name in terms.ends),
-        *(
-            (name, lambda event=event: event(plant, x, i), scalar)
-            for _, event, name in terms.events
-        ),
-    )
-
-
-def _flat(F: Array) -> Array:
-    return F.reshape(-1)
-
-
-def _traced(problem: Problem, k: int, x: Array, u: Array) -> Any:
-    """Return the shape of what the k-th of `_calls` returns.
-
-    Raises TypeError when it uses a traced value that is no leaf of the problem: nothing would ask
-    for the derivative with respect to it, which would come out as zero.
-    """
-    arrays, static = eqx.partition(problem, eqx.is_array)
-    name = _calls(problem, x, u)[k][0]
-
-    def function(arrays, x, u):
-        return _calls(eqx.combine(arrays, static), x, u)[k][1]()
-
-    try:
-        jaxpr, out = jax.make_jaxpr(function, return_shape=True)(arrays, x, u)
-    except Exception as error:
-        error.add_note(f"raised while {name} was traced, with x {x.shape}, u {u.shape}")
-        error.add_note(_advice(error))
-        raise
-    for const in jaxpr.consts:
-        if not is_concrete(const):
-            owner = {"plant": problem.plant, "noise": problem.noise}.get(name, problem.cost)
-            raise TypeError(
-                f"{name}: {describe(owner)} uses a traced value, {jax.typeof(const)}, in a way "
-                "that cannot be seen from outside, so that its derivative would be lost; make it "
-                "a field of the class, or hand it to the function as `params=`"
-            )
-    return out
-
-
-def _advice(error: Exception) -> str:
-    """Say what usually mends an error in a user's function."""
-    if isinstance(error, jax.errors.TracerArrayConversionError):
-        return (
-            "use jnp in the place of np: jnp.sin(x), jnp.linalg.norm(x); only what is a NumPy "
-            "array from the start may go through NumPy"
-        )
-    if isinstance(error, jax.errors.TracerBoolConversionError):
-        return "use jnp.where or jax.lax.cond where it depends on values of x, u or t"
-    if isinstance(error, jax.errors.ConcretizationTypeError):
-        return (
-            "use jnp.sin(x) in the place of math.sin(x) or float(x), and jnp.where or jax.lax.cond "
-            "where it depends on values; a JAX array that it closes over and whose value it needs "
-            "may be a NumPy array or a Python number"
-        )
-    return (
-        "it is called as dynamics(x, u, t), running(x, u, t), terminal(x) or event(x, i), with "
-        "`params` as a last argument when these are given; the methods of a cost as rate(plant, "
-        "at), residual(plant, at), end(plant, x), event(plant, x, j)"
-    )
-
-
 def run(
     problem: Problem, solver: AbstractSolver | AbstractDirectSolver, x0, us, max_steps: int
 ) -> Solution:
     """Solve a problem whose arguments have been checked."""
     if isinstance(solver, AbstractDirectSolver):
-        _check_functions(problem, x0, us)
+        check_functions(problem, x0, us)
         return solver.run(problem, x0, us)
     return run_iteration(problem, solver, x0, us, max_steps)
 
 
 @jit
 def run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: int) -> Solution:
-    _check_functions(problem, x0, us)
+    check_functions(problem, x0, us)
+    if solver.stochastic and delayed(problem.sensor):
+        whole = run_iteration(lifted(problem, x0), solver, problem.lift(x0), us, max_steps)
+        return _projected(whole, problem)
     frozen, x0_frozen, us = jax.tree.map(
         lambda leaf: jax.lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf,
         (problem, x0, us),
@@ -275,7 +169,7 @@ def run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: i
     found = found._replace(xs=jnp.where(failed, last_finite(found.xs), found.xs))
     cost = solver.record(state).cost
     side = known_sides(frozen, found.us, found.side)
-    if solver.stochastic and (problem.noise is not None or problem.x0_cov is not None):
+    if solver.stochastic and problem.uncertain:
         promised = outcome(frozen, found.xs, found.us, found.K)
         promised = attach_expected(promised, problem, x0, side, status.ok, solver)
         cost = promised.nominal_cost
@@ -284,17 +178,36 @@ def run_iteration(problem: Problem, solver: AbstractSolver, x0, us, max_steps: i
     feedback = status.ok & _feedback_needed(frozen, found, cost)
     status = Status(status.code, status.index, feedback)
     xs, us, K = promised.xs, promised.us, promised.K
+    policy = AffinePolicy(xs, us, jnp.zeros_like(us), K, problem.bounds, problem.dt)
+    if promised.estimator is not None:
+        policy = OutputFeedback(policy, promised.estimator)
     return Solution(
         xs=xs,
         us=us,
         nominal_cost=promised.nominal_cost,
         expected_cost=promised.expected_cost,
-        policy=AffinePolicy(xs, us, jnp.zeros_like(us), K, problem.bounds, problem.dt),
+        policy=policy,
         status=status,
         gradient=found.gradient,
         history=history,
         num_steps=count,
         prediction=promised.prediction,
+    )
+
+
+def _projected(whole: Solution, problem: Problem) -> Solution:
+    """Return a solution in the plant's own states; its policy remembers what has been sensed."""
+    nx, seen = problem.plant.nx, whole.prediction
+    assert seen is not None and seen.error_cov is not None
+    prediction = Prediction(
+        problem.project(seen.xs),
+        seen.us,
+        seen.x_cov[:, :nx, :nx],
+        seen.u_cov,
+        seen.error_cov[:, :nx, :nx],
+    )
+    return eqx.tree_at(
+        lambda s: (s.xs, s.prediction), whole, (problem.project(whole.xs), prediction)
     )
 
 

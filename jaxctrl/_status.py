@@ -102,7 +102,7 @@ _MESSAGES = {
     Reason.INVALID_TIME_STEP: "failed: the time step dt is not above zero",
     Reason.INVALID_COVARIANCE: "failed: x0_cov is no covariance: it is not symmetric, or "
     "has a negative eigenvalue",
-    Reason.NONFINITE_NOISE: "failed: the noise, or its slope in the state or the control, is not "
+    Reason.NONFINITE_NOISE: "failed: the noise, or what is sensed, or a slope of these, is not "
     "finite at step {index} of the trajectory; a norm has no slope at zero",
     Reason.NOISE_TOO_LARGE: "failed: the noise adds over 1/eps times what the start costs without "
     "it, or overflows: no feedback holds it; lower its intensity, or shorten the movement",

@@ -134,7 +134,8 @@ class LocalModel(NamedTuple):
     vx' dx + dx' vxx dx / 2. Every array but vx and vxx leads with time. The cost's blocks hold
     the time step already; for an exact second-order expansion they hold the costates contracted
     with the second derivatives of the dynamics too. Of lxx, luu and vxx only the symmetric parts
-    count. Without `noise` nothing is computed for it.
+    count. Without `noise` nothing is computed for it. `sensing`, if any, says what is sensed,
+    and `x0_cov` how uncertain the first state is.
     """
 
     fx: Float[Array, "T nx nx"]
@@ -147,6 +148,8 @@ class LocalModel(NamedTuple):
     vx: Float[Array, " nx"]
     vxx: Float[Array, "nx nx"]
     noise: Noise | None = None
+    sensing: "Sensing | None" = None
+    x0_cov: Float[Array, "nx nx"] | None = None
 
     @property
     def stages(self) -> Stages:

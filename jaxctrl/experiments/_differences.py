@@ -44,9 +44,9 @@ class DifferencedDDP(jc.AbstractShooting):
             luu=model.luu + added[:, nx:, nx:],
         )
 
-    def law(self, model, damping, box, guess):
+    def law(self, model, damping, box, guess, last):
         """Return the model's minimiser, and what it holds at bounds, as `DDP` does."""
-        return self.textbook.law(model, damping, box, guess)
+        return self.textbook.law(model, damping, box, guess, last)
 
     def merit(self, problem, xs, us, law, model=None):
         """Return the nominal cost, shape ()."""

@@ -53,7 +53,7 @@ class TrueHessianILQG(jc.AbstractShooting):
         """Return the first-order model with the noise."""
         return self.fixed.expand(problem, xs, us, near)
 
-    def law(self, model, damping, box, guess):
+    def law(self, model, damping, box, guess, last):
         """Return the law of one sweep, which holds nothing at bounds.
 
         Each step is a model of one step: the damped one gives the law, the true one its value.

@@ -1,9 +1,7 @@
 """The best law and the best filter in turn, until neither changes the expected cost.
 
 Each half of a sweep has an exact minimiser: the filter for the law, and the law for the filter.
-What comes back is differentiated as the fixed point of a sweep, p = s(p; model), by
-
-    dp = s_p dp + s_model dmodel.
+What comes back is differentiated as the fixed point of a sweep.
 """
 
 import functools
@@ -14,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .._types import Bounds, LocalModel, Sensing
+from ._fixed_point import attach
 from ._moments import AffineLaw, carry, expected, starting
 from ._observed import Pair, best_gains, best_law, evaluate_observed
 from ._observed_step import ObservedValue
@@ -119,7 +118,9 @@ def coordinate_descent(
     limit = problem.sensing.internal is not None and not exact
     pair = end.pair if limit else end.best
     last = [(a == b).all() for a, b in zip(*map(jax.tree.leaves, (pair, end.pair)), strict=True)]
-    law, gains = _attach(exact, problem, pair, converged & jnp.stack(last).all())
+    law, gains = attach(
+        functools.partial(_sweep, exact), problem, pair, converged & jnp.stack(last).all()
+    )
     cost = problem.cost(evaluate_observed(problem.model, problem.sensing, law, gains))
     return ObservedLQG(law, gains, cost, end.history, end.count, converged, end.ok)
 
@@ -160,49 +161,7 @@ def _lower(later: tuple[Pair, Array], earlier: tuple[Pair, Array]) -> tuple[Pair
     return pair, jnp.where(better, jnp.fmin(later[1], earlier[1]), earlier[1])
 
 
-def _sweep(problem: Observed, pair: Pair, exact: bool) -> Pair:
+def _sweep(exact: bool, problem: Observed, pair: Pair) -> Pair:
     gains, _ = _new_gains(problem, pair, exact)
     law, _, _ = _new_law(problem, Pair(pair.law, gains), exact)
     return Pair(law, gains)
-
-
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _attach(exact: bool, problem: Observed, pair: Pair, fixed) -> Pair:
-    """Return a pair with its derivatives, NaN unless it is a fixed point of the sweeps."""
-    return pair
-
-
-@_attach.defjvp
-def _attach_jvp(exact, primals, tangents):
-    problem, pair, fixed = primals
-    _, pushed = jax.jvp(lambda p: _sweep(p, pair, exact), (problem,), (tangents[0],))
-    _, through = jax.linearize(lambda pair: _sweep(problem, pair, exact), pair)
-
-    def left(change):
-        return jax.tree.map(jnp.subtract, change, through(change))
-
-    slope = jax.lax.custom_linear_solve(left, pushed, _series, transpose_solve=_series)
-    valid = jnp.where(fixed, 1.0, jnp.nan)
-    return _attach(exact, *primals), jax.tree.map(lambda a: valid.astype(a.dtype) * a, slope)
-
-
-def _series(left, b):
-    """Solve x - s x = b by x <- b + s x, which converges as the sweeps did."""
-
-    def body(carry):
-        x, _, count = carry
-        rest = jax.tree.map(jnp.subtract, b, left(x))
-        after = jax.tree.map(jnp.add, x, rest)
-        return after, _norm(rest) / _norm(after), count + 1
-
-    def unfinished(carry):
-        _, change, count = carry
-        return (count < 1000) & (change > 10 * jnp.finfo(change.dtype).eps)
-
-    start = (b, jnp.full((), jnp.inf, jax.tree.leaves(b)[0].dtype), jnp.array(0))
-    return jax.lax.while_loop(unfinished, body, start)[0]
-
-
-def _norm(tree) -> Array:
-    total = sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(tree))
-    return jnp.sqrt(total)

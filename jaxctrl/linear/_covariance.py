@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._linalg import matmul, symmetrise
-from .._types import LocalModel
+from .._types import LocalModel, Rows
 from ._step import Packed, pack
 
 
@@ -47,10 +47,20 @@ def _spread(noise: Packed, K: Float[Array, "nu nx"], X: Float[Array, "nx nx"]) -
     slopes, nx = noise.slopes, K.shape[1]
     if slopes is None:
         return jnp.zeros_like(X)
-    C = slopes[..., :nx] + slopes[..., nx:] @ K
-    moments = C @ X @ C.mT
-    if noise.rows is None:
-        return jnp.sum(moments, axis=0)
-    S = noise.rows.onehot(nx, X.dtype)
+    return spread(noise.rows, slopes[..., :nx] + slopes[..., nx:] @ K, X, nx)
+
+
+def spread(
+    rows: Rows | None, C: Float[Array, "nw r nx"], X: Float[Array, "nx nx"], n: int
+) -> Float[Array, "n n"]:
+    """Return sum_i C_i X C_i' of slopes C_i, of which only the named rows are given."""
+    nx = X.shape[0]
+    CX = matmul(C.reshape(-1, nx), X).reshape(C.shape)
+    if rows is None:
+        # One product, of all columns side by side.
+        left, right = (jnp.swapaxes(a, 0, 1).reshape(a.shape[1], -1) for a in (CX, C))
+        return matmul(left, right.T)
+    moments = jnp.sum(CX[:, :, None] * C[:, None], axis=3)
+    S = rows.onehot(n, X.dtype)
     both = jnp.sum(moments[..., None] * S[:, None], axis=2)
-    return jnp.asarray(S).reshape(-1, nx).T @ both.reshape(-1, nx)
+    return matmul(jnp.asarray(S).reshape(-1, n).T, both.reshape(-1, n))

@@ -172,7 +172,7 @@ def disturbed(noise: Packed, vxx: Float[Array, "nx nx"], shape: tuple[int, ...])
         V, Vc = vxx, matmul(noise.c, vxx)
     else:
         # Products with ones and zeros: XLA would make loops of gathers.
-        S = noise.rows.onehot(nx, vxx.dtype)
+        S = noise.rows.onehot(vxx.shape[0], vxx.dtype)
         rows = jnp.sum(S[..., None] * vxx, axis=2)
         V = jnp.sum(rows[:, :, None, :] * S[:, None], axis=3)
         Vc = jnp.sum(rows * noise.c[:, None], axis=2)

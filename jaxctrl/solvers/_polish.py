@@ -121,11 +121,11 @@ def noise_status(
 
     Arguments: the last model and its sweep, the expected cost (), and the status.
     """
-    without = model._replace(noise=None)
+    without = model._replace(noise=None, sensing=None, x0_cov=None)
     sound = jnp.isfinite(jax.flatten_util.ravel_pytree(without)[0]).all()
     tame = cost * jnp.finfo(cost.dtype).eps <= jnp.abs(polish.nominal)
     swamped = sound & jnp.where(sweep.ok, ~tame & (polish.nominal != 0), sweep.nonfinite >= 0)
     status = _status.where(swamped, Status.of(Reason.NOISE_TOO_LARGE), status)
-    for at in map(first_nonfinite, jax.tree.leaves(model.noise)):
+    for at in map(first_nonfinite, jax.tree.leaves((model.noise, model.sensing))):
         status = _status.where(sound & (at >= 0), Status.of(Reason.NONFINITE_NOISE, at), status)
     return status

@@ -58,7 +58,7 @@ class DDP(AbstractShooting):
         """Return the model, of exact second order if `near`, or always."""
         return expand(problem, xs, us, second_order=near if self.second_order else True)
 
-    def law(self, model, damping, box, guess):
+    def law(self, model, damping, box, guess, last):
         """Return the model's exact minimiser, in the box if there is one, and what it holds."""
         return box_or_free_law(model, damping, box, guess, self.sweep)
 

@@ -48,7 +48,7 @@ class ILQR(AbstractShooting):
         """Return the first-order model; `near` changes nothing."""
         return expand(problem, xs, us)
 
-    def law(self, model, damping, box, guess):
+    def law(self, model, damping, box, guess, last):
         """Return the model's exact minimiser, in the box if there is one, and what it holds."""
         return box_or_free_law(model, damping, box, guess, self.sweep)
 

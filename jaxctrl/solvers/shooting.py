@@ -17,6 +17,7 @@ from ..linear import Sweep
 from ..linear._box_lqr import box_lqr
 from ..linear._engine import find_engine
 from ..linear._factorised import factorise
+from ..linear._sensed import settle
 from ._damping import LAM_MAX, LAM_SURE, adapt
 from ._judging import (
     Tolerances,
@@ -130,7 +131,7 @@ def step(
     model = solver.expand(problem, trial.xs, trial.us, second)
     damping = lam * _marquardt(state)
     box = None if bounds is None else (bounds[0] - trial.us, bounds[1] - trial.us)
-    sweep, side = solver.law(model, damping, box, state.side)
+    sweep, side = solver.law(model, damping, box, state.side, state.sweep)
     start_cost = jnp.where(state.measured, state.start_cost, trial.cost)
     scale, cost = cost_scale(trial.cost, start_cost), trial.cost
     polish = state.polish
@@ -307,11 +308,12 @@ class AbstractShooting(AbstractMinimiser):
         damping: Float[Array, "T nu"],
         box: Bounds | None,
         guess: Float[Array, "T nu"],
+        last: Sweep,
     ) -> tuple[Sweep, Float[Array, "T nu"]]:
         """Return the law of the least cost on a model, and which controls it holds at bounds.
 
-        Arguments: damping (T, nu); bounds on du, each (T, nu), or None; and a guess of the answer's
-        second part, `side` of `Found`.
+        Arguments: damping (T, nu); bounds on du, each (T, nu), or None; a guess of the answer's
+        second part, `side` of `Found`; and the law of the iterate before.
         """
 
     @abc.abstractmethod
@@ -361,9 +363,18 @@ class AbstractShooting(AbstractMinimiser):
         worse = ~state.status.ok & ~rest & jnp.isfinite(best.cost)
         return jax.tree.map(lambda a, b: jnp.where(worse, a, b), kept, last)
 
+    def known(self, problem, xs, us, side):
+        """Return the model of a known state around xs (T+1, nx), us (T, nu), for its derivatives.
+
+        With a sensor, what is sensed is priced in. `side` (T, nu) tells which controls are held,
+        where not 0.
+        """
+        model = self.expand(problem, xs, us, True)
+        return model if model.sensing is None else settle(model, side)
+
     def gains(self, problem, xs, us, side):
         """Return the gains (T, nu, nx) of the model around xs (T+1, nx), us (T, nu)."""
-        return factorise(self.expand(problem, xs, us, True), side == 0).K
+        return factorise(self.known(problem, xs, us, side), side == 0).K
 
 
 def box_or_free_law(

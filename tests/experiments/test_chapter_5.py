@@ -140,7 +140,7 @@ def test_recursion_with_the_true_hessian_promises_what_its_law_gains(damping):
     us = 0.1 * jax.random.normal(jax.random.key(0), (10, 2))
     xs = problem.rollout(arm.at_rest(*shared.START), us)
     model, d = jc.expand(problem, xs, us, noise=True), jnp.full((10, 2), damping)
-    law, held = recursions.TrueHessianILQG().law(model, d, None, 0 * us)
+    law, held = recursions.TrueHessianILQG().law(model, d, None, 0 * us, None)
     fixed = jc.linear.lqr(model, d)
     assert bool(law.ok) and int(law.failed) == int(law.nonfinite) == -1 and not held.any()
     gains = jc.linear.evaluate(model, law.k, law.K).v - jc.linear.evaluate(model, 0 * us, law.K).v

@@ -14,7 +14,7 @@ from ipykernel.kernelspec import write_kernel_spec
 from nbclient import NotebookClient
 
 # The models and the solver that they show have tests of their own.
-SLOW = {"02_theories", "03_feedback"}
+SLOW = {"02_theories", "03_feedback", "04_senses"}
 FOLDER = Path(__file__).parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 

@@ -138,11 +138,16 @@ class Problem(eqx.Module):
                 f"problem: a batch, its dt has shape {self.dt.shape}; it goes through jax.vmap"
             )
 
-    def __add__(self, further: AbstractCost | AbstractNoise) -> "Problem":
-        """Return the problem with a further cost, `task + Obstacle(...)`, or a further noise."""
+    def __add__(self, further: AbstractCost | AbstractNoise | AbstractSensor) -> "Problem":
+        """Return the problem with a further cost, `task + Obstacle(...)`, noise or sensor."""
         if isinstance(further, AbstractNoise):
             both = closed(further if self.noise is None else self.noise + further)
             return eqx.tree_at(lambda p: p.noise, self, both, is_leaf=lambda leaf: leaf is None)
+        if isinstance(further, AbstractSensor):
+            self.check_single()
+            both = further if self.sensor is None else self.sensor + further
+            both = closed(with_buffers(both, self.dt, self.num_steps))
+            return eqx.tree_at(lambda p: p.sensor, self, both, is_leaf=lambda leaf: leaf is None)
         if not isinstance(further, AbstractCost):
             return NotImplemented
         problem = eqx.tree_at(lambda p: p.cost, self, self.cost + further)

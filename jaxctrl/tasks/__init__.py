@@ -14,13 +14,15 @@ from ._costs import (
     ViaPoints as ViaPoints,
 )
 from ._movements import (
-    centre_out as centre_out,
-    hit as hit,
     limit_joints as limit_joints,
-    obstacle as obstacle,
     posture as posture,
-    reach as reach,
     swing_up as swing_up,
     track as track,
+)
+from ._reaches import (
+    centre_out as centre_out,
+    hit as hit,
+    obstacle as obstacle,
+    reach as reach,
     via as via,
 )

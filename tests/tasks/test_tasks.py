@@ -316,3 +316,40 @@ def test_a_misspelt_argument_is_one_of_the_task_that_was_called(task):
     }[task]
     with pytest.raises(TypeError, match=rf"^{task}\(\) got an unexpected .* 'effrt'"):
         getattr(jc.tasks, task)(arm, *first, effrt=0.5)
+
+
+def test_a_sensor_is_given_to_a_task_or_added_to_it(arm):
+    sensor, cov = jc.JointSensor(), 1e-4 * jnp.eye(4)
+    given = jc.tasks.reach(arm, TARGET, 0.1, sensor=sensor, x0_cov=cov)
+    added = jc.tasks.reach(arm, TARGET, 0.1) + sensor
+    assert isinstance(given.sensor, jc.JointSensor) and isinstance(added.sensor, jc.JointSensor)
+    assert (given.num_readings, added.num_readings) == (4, 4)
+    np.testing.assert_array_equal(given.x0_cov, cov)
+    assert added.x0_cov is None
+    both = added + jc.HandSensor().delayed(0.035)
+    assert both.num_readings == 8 and both.sensor.parts[1].steps == 4
+    with pytest.raises(ValueError, match="sensor: a buffer of 20 steps"):
+        added + jc.HandSensor().delayed(0.2)
+    with pytest.raises(TypeError, match="sensor: "):
+        jc.tasks.reach(arm, TARGET, sensor=jc.AdditiveNoise(1.0))
+
+
+def test_every_task_takes_a_sensor(arm, x0):
+    kept = {"sensor": jc.JointSensor(), "x0_cov": 1e-4 * jnp.eye(4), "num_steps": 4}
+    tasks = jc.tasks
+    for made in (
+        tasks.hit(arm, TARGET, [0.1, 0.0], 0.1, **kept),
+        tasks.posture(arm, [1.0, 1.0], 0.1, **kept),
+        tasks.obstacle(arm, TARGET, [0.1, 0.4], 0.02, 0.1, **kept),
+        tasks.via(arm, TARGET, [[0.0, 0.5]], [0.05], 0.1, **kept),
+        tasks.track(arm, [[0.0, 0.5], [-0.1, 0.5]], 0.1, **kept),
+    ):
+        assert isinstance(made.sensor, jc.JointSensor) and made.x0_cov.shape == (4, 4)
+    batch = tasks.centre_out(arm, x0, n=3, duration=0.1, **kept)
+    assert batch.sensor.angle_sd.shape == (3,) and batch.x0_cov.shape == (3, 4, 4)
+    with pytest.raises(ValueError, match="a batch"):
+        batch + jc.HandSensor()
+    swing = tasks.swing_up(
+        jc.plants.Pendulum(), num_steps=4, sensor=jc.LinearSensor(jnp.eye(2), 0.1)
+    )
+    assert swing.num_readings == 2 and swing.x0_cov is None

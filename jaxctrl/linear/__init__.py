@@ -26,7 +26,9 @@ from ._observed_doors import (
     observed_law as observed_law,
     observed_lqg as observed_lqg,
     observed_moments as observed_moments,
+    sensed_lqg as sensed_lqg,
 )
 from ._observed_step import ObservedValue as ObservedValue
 from ._riccati import Sweep as Sweep
+from ._sensed import Errors as Errors, SensedLQG as SensedLQG
 from ._step import Value as Value

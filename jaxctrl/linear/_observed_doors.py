@@ -7,12 +7,13 @@ import jax.numpy as jnp
 from jaxtyping import ArrayLike, Float
 
 from .._types import Bounds, LocalModel, Sensing, as_bounds, promote
-from . import _coordinate_descent, _moments, _observed
+from . import _coordinate_descent, _moments, _observed, _sensed
 from ._boxqp import check_bounds
 from ._coordinate_descent import Observed, ObservedLQG
 from ._moments import AffineLaw, Moments
-from ._observed_checks import check_sensed, checked, covariance
+from ._observed_checks import check_model, check_sensed, checked, covariance
 from ._riccati import symmetric
+from ._sensed import SensedLQG
 
 FORMS = ("corrected", "published")
 
@@ -223,3 +224,68 @@ def observed_lqg(
 def _descend(problem: Observed, law, tolerance, max_steps, exact) -> ObservedLQG:
     problem = problem._replace(model=symmetric(problem.model))
     return _coordinate_descent.coordinate_descent(problem, law, tolerance, max_steps, exact)
+
+
+def sensed_lqg(
+    model: LocalModel,
+    *,
+    law: AffineLaw | None = None,
+    damping: ArrayLike = 0.0,
+    tolerance: float | None = None,
+    max_steps: int = 100,
+) -> SensedLQG:
+    """Minimise the expected cost of a problem's own model by law and filter in turn.
+
+        sense   xhat <- xhat + G (F e + s),    e <- (I - G F) e - G s
+        act     du = k + K xhat
+        move    xhat <- fx xhat + fu du,       e <- fx e + n
+
+    with e = dx - xhat the error of the estimate, s and n the noise of sensor and plant. In
+    each step what is sensed tells before the control is chosen, as in `jc.simulate`;
+    `observed_lqg` has Li's order, in which it tells one step late. Each half of a sweep
+    minimises exactly, so that without damping the cost never rises (Li 2006, section 5.4;
+    Todorov 2005). It has no reverse-mode derivative.
+
+    Arguments:
+        model: with what is sensed and the covariance of the first state, as
+            `jc.expand(problem, xs, us, noise=True)` makes it of a problem with a sensor.
+        law: the first one, k (T, nu) and K (T, nu, nx); zero by default.
+        damping: added to the diagonal of H, scalar or (T, nu) [cost per control unit squared];
+            with it the cost may rise.
+        tolerance: relative change of the law in a sweep that ends them; near what rounding
+            leaves by default; a negative one asks for `max_steps`.
+        max_steps: limit of the number of sweeps.
+
+    Returns: `SensedLQG`.
+
+    Raises: ValueError for a model without what is sensed, for noise of the estimator's own or
+        readings that depend on the control, which it does not know, for shapes that do not fit
+        together and what is no covariance; TypeError for what is no model.
+    """
+    T, nx, nu = check_model(model)
+    if model.sensing is None or model.x0_cov is None:
+        missing = "sensing" if model.sensing is None else "x0_cov"
+        raise ValueError(
+            f"model.{missing}: None; jc.expand(problem, xs, us, noise=True) gives it for a problem "
+            "with a sensor"
+        )
+    check_sensed(model, model.sensing)
+    noise = model.sensing.noise
+    for name, value in (
+        ("E", model.sensing.E),
+        ("internal", model.sensing.internal),
+        ("noise.cu", None if noise is None else noise.cu),
+    ):
+        if value is not None:
+            raise ValueError(f"model.sensing.{name}: None is wanted; `observed_lqg` takes it")
+    model = model._replace(x0_cov=covariance("model.x0_cov", model.x0_cov, nx))
+    still = AffineLaw(jnp.zeros_like(model.lu), jnp.zeros_like(model.lux))
+    law = still if law is None else _check_law(law, T, nx, nu)
+    model, law, damping = promote((model, law, _damping(damping, T, nu)))
+    return _sensed_descent(model, law, damping, tolerance, max_steps)
+
+
+@eqx.filter_jit
+def _sensed_descent(model, law, damping, tolerance, max_steps) -> SensedLQG:
+    free = jnp.zeros_like(damping)
+    return _sensed.descend(symmetric(model), law, damping, free, free, max_steps, tolerance)

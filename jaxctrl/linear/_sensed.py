@@ -72,8 +72,12 @@ class Forecast(NamedTuple):
 class SensedLQG(NamedTuple):
     """Law and filter that are the best for each other, and how the expected cost came down.
 
-    `history` holds it after each half of each sweep, the filter's and the law's, NaN for sweeps
-    that were not needed.
+    Attributes:
+        law: du = k + K xhat.
+        gains: the filter's, (T, nx, ny).
+        errors: what errors of the estimate cost under both.
+        history: the expected cost after each half of each sweep, the filter's and the law's, NaN
+            for sweeps that were not needed; the model's constant is left out.
     """
 
     law: AffineLaw

@@ -7,7 +7,15 @@ import pytest
 from observed_oracle import exact_cost, second_moments, trials
 from test_observed import COV, NU, NX, NY, T, pair, plant, sensor
 
-from jaxctrl.linear import AffineLaw, Noise, Sensing, filter_gains, lqr, observed_law
+from jaxctrl.linear import (
+    AffineLaw,
+    Noise,
+    Sensing,
+    filter_gains,
+    lqr,
+    observed_law,
+    sensed_lqg,
+)
 from jaxctrl.linear._factorised import factorise
 from jaxctrl.linear._riccati import Free, Holding
 from jaxctrl.linear._sensed import descend, forecast, price, respond, settle
@@ -196,3 +204,26 @@ def test_a_reading_that_says_all_or_nothing():
         model._replace(sensing=model.sensing._replace(noise=noise)), STILL, NONE, NONE, NONE
     )
     assert np.abs(useless.gains).max() < 1e-15
+
+
+def test_the_door_finds_the_same_and_refuses_what_does_not_fit():
+    model, (law, _) = sensed(0), pair(0)
+    wanted = descend(model, law, NONE, NONE, NONE, max_steps=40)
+    found = sensed_lqg(model, law=law, max_steps=40)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+    sensing = model.sensing
+    wrong = (
+        ("model.sensing", model._replace(sensing=None)),
+        ("model.x0_cov", model._replace(x0_cov=None)),
+        ("model.x0_cov: a covariance has no", model._replace(x0_cov=-model.x0_cov)),
+        ("model.sensing.E", model._replace(sensing=sensing._replace(E=jnp.ones((T, NY, NU))))),
+        ("sensing.F", model._replace(sensing=sensing._replace(F=sensing.F[:, :, :1]))),
+    )
+    for name, bad in wrong:
+        with pytest.raises(ValueError, match=name):
+            sensed_lqg(bad)
+    with pytest.raises(ValueError, match=r"law\.k"):
+        sensed_lqg(model, law=AffineLaw(law.k[1:], law.K))
+    with pytest.raises(TypeError, match="model: "):
+        sensed_lqg(sensing)
